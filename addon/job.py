@@ -1,0 +1,129 @@
+"""One bake of a Blender scene, from options to written layers: what the panel and the command line share."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from time import perf_counter
+
+from ..core.bake import bake
+from ..core.cells import make_cells
+from ..core.layers import LAYERS
+from ..core.report import make_report
+from ..core.settings import Settings
+from .read_scene import read_scene
+from .version import version
+from .write_result import check_names, remove_copies, write_result
+
+
+class Refused(Exception):
+    """The bake cannot start or cannot end well; the message names the object, what was found, and what to do."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the user asked for. objects: names or globs of the objects to write, () for all. error: relative."""
+
+    error: float = 0.02
+    layers: tuple = ("Radiosity", "Lighting")
+    domain: str = "CORNER"
+    objects: tuple = ()
+    side: str = "front"
+    cells: int = 0
+    seed: int = 0
+    max_patch: float | str | None = None
+    shared: str = "copy"
+    strict: bool = False
+
+    def settings(self, diagonal):
+        """The core's Settings; diagonal: of the scene [m]."""
+        settings = Settings.for_error(self.error, seed=self.seed, side=self.side)
+        if self.max_patch == "mesh":
+            return replace(settings, patch_edge=None)
+        if self.max_patch is not None:
+            return replace(settings, patch_edge=self.max_patch / max(diagonal, 1e-300))
+        return settings
+
+
+def default_cells():
+    """One cell per physical core, as far as the system tells."""
+    try:
+        cores = len(os.sched_getaffinity(0))
+    except AttributeError:
+        cores = os.cpu_count() or 1
+    siblings = set()
+    for cpu in range(os.cpu_count() or 1):
+        try:
+            with open(f"/sys/devices/system/cpu/cpu{cpu}/topology/thread_siblings_list") as file:
+                siblings.add(file.read())
+        except OSError:
+            break
+    return max(min(cores, len(siblings) or cores), 1)
+
+
+class Job:
+    """A bake of a context's scene. Make it, drive `bake()` to its end, then call `write()`; `report()` tells all.
+
+    Raises Refused, before any work, if there is nothing to bake or no place for the result.
+    """
+
+    def __init__(self, context, options, cells=None, start_seconds=0.0):
+        self.options = options
+        self._owned = cells is None
+        begun = perf_counter()
+        self.cells = cells or make_cells(options.cells or default_cells())
+        self._start = start_seconds + perf_counter() - begun
+        try:
+            begun = perf_counter()
+            self._read(context)
+            self._read_seconds = perf_counter() - begun
+        except BaseException:
+            self.close()
+            raise
+        self.result = None
+        self._write_seconds = 0.0
+
+    def _read(self, context):
+        remove_copies(context.scene)
+        patterns = self.options.objects
+        wanted = (lambda name: any(fnmatchcase(name, p) for p in patterns)) if patterns else None
+        self.scene, self.targets = read_scene(context, wanted)
+        if not len(self.scene.triangles):
+            raise Refused("there is no mesh to bake: no visible object with faces")
+        if not self.targets:
+            what = f"no mesh matches {', '.join(patterns)}" if patterns else "no mesh of this file can be written"
+            raise Refused(f"there is nothing to write to: {what}")
+        emits = any(max(m.exitance) > 0 for m in self.scene.materials)
+        if not (self.scene.lamps or emits or max(self.scene.world.radiance) > 0):
+            raise Refused("nothing gives light: add a lamp, an emitting material or a world color")
+        check_names(self.targets, self.options.layers)
+
+    def bake(self):
+        """The core's bake: yields Progress."""
+        self.result = yield from bake(self.scene, self.options.settings(self.scene.diagonal), self.cells)
+        findings = self.result.survey.health
+        if self.options.strict and findings:
+            first = findings[0]
+            raise Refused(f"{first.object}: {first.finding} ({len(findings)} findings; --strict)")
+
+    def write(self, context):
+        """Write the result into the file's meshes."""
+        begun = perf_counter()
+        write_result(context, self.result, self.targets, self.options.layers, self.options.domain)
+        self._write_seconds = perf_counter() - begun
+
+    def report(self, scene):
+        """The report of the bake. scene: the file it came from."""
+        return make_report(
+            self.result, scene=scene, version=version(), layers=self.options.layers, domain=self.options.domain,
+            start=self._start, read=self._read_seconds, write=self._write_seconds,
+        )  # fmt: skip
+
+    def close(self):
+        """End the cells, unless they were lent."""
+        if self._owned:
+            self.cells.stop()
+
+
+__all__ = ["LAYERS", "Job", "Options", "Refused", "default_cells"]

@@ -1,0 +1,59 @@
+"""The progress of a bake: a bar on a terminal, plain lines in a log."""
+
+from __future__ import annotations
+
+import sys
+from time import monotonic
+
+from tqdm import tqdm
+
+PAUSE = 5.0  # seconds between the lines of a log
+
+
+class Bar:
+    """Shows Progress records on stderr; a context manager that ends its line."""
+
+    def __init__(self, quiet=False):
+        self._quiet, self._phase, self._shown = quiet, None, 0.0
+        self._bar = None
+        if not quiet and sys.stderr.isatty():
+            self._bar = tqdm(total=1.0, leave=False, bar_format="{percentage:3.0f} % |{bar:24}| {desc}")
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        if self._bar:
+            self._bar.close()
+
+    def show(self, progress):
+        """Show where the bake stands; in a log only now and then."""
+        if self._bar:
+            self._bar.n = progress.done
+            self._bar.set_description_str(progress_text(progress))
+        elif not self._quiet and (progress.phase != self._phase or monotonic() - self._shown > PAUSE):
+            self._shown, self._phase = monotonic(), progress.phase
+            print(f"{100 * progress.done:3.0f} %  {progress_text(progress)}", file=sys.stderr, flush=True)
+
+
+def progress_text(progress):
+    """Where a bake stands, in words."""
+    parts = [progress.phase]
+    if progress.round:
+        parts.append(f"round {progress.round}")
+    if progress.bound is not None:
+        parts.append(f"bound {100 * progress.bound:.3g} %")
+    if progress.rays and progress.seconds:
+        parts.append(f"{progress.rays / progress.seconds / 1e6:.2f} Mrays/s")
+    if progress.left is not None:
+        parts.append(f"{progress.left:.0f} s left")
+    return ", ".join(parts)
+
+
+def summary(bake):
+    """One line about a finished bake."""
+    wall = sum(bake.seconds[k] for k in ("survey", "patches", "transport", "gather"))
+    return (
+        f"{len(bake.points)} points, {len(bake.patches)} patches, {bake.rays / 1e6:.2f} M rays in {wall:.2f} s"
+        f" ({len(bake.solution.rounds)} rounds, bound {100 * bake.solution.bound:.2g} %)"
+    )

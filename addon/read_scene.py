@@ -1,0 +1,254 @@
+"""Read a Blender scene into the core's `Scene`: meshes as they render, materials, lamps, world.
+
+Owns what takes part in a bake and in which form. Arrays are copied out of Blender whole, through attributes; nothing
+in the file is changed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import bpy
+import numpy as np
+
+from ..core.effects import Finding
+from ..core.scene import Mesh, World, join_meshes
+from .lamps import read_lamp
+from .materials import read_material, read_world
+from .marks import is_made
+
+SOLID = {"MESH", "CURVE", "SURFACE", "META", "FONT"}
+
+
+@dataclass(frozen=True)
+class Target:
+    """Where the light of one object of the scene goes.
+
+    object: name of the Blender object. first, last: its corners in the scene, first to last. corner: (last - first,)
+    number of each of them in the evaluated mesh. same: the evaluated mesh has the corners of the object's own mesh.
+    """
+
+    object: str
+    first: int
+    last: int
+    corner: np.ndarray
+    same: bool
+
+
+def read_scene(context, wanted=None):
+    """The core's Scene of a context's scene in its current frame, and the Targets that can be written.
+
+    wanted: function of an object's name, whether its light is asked for; None asks for all. What is asked for never
+    limits what casts light.
+    """
+    depsgraph = context.evaluated_depsgraph_get()
+    scene = depsgraph.scene
+    rendered = _rendered(scene)
+    reader = _Reader()
+    meshes, lamps, targets = [], [], []
+    for instance in depsgraph.object_instances:
+        object = instance.object
+        original = object.original
+        source = instance.parent.original if instance.is_instance and instance.parent else original
+        if original.hide_render or source.name not in rendered or is_made(original) or not instance.show_self:
+            continue
+        matrix = np.array(instance.matrix_world)
+        if object.type == "LIGHT":
+            lamp = read_lamp(object.data, matrix, original.name, reader.ignored)
+            lamps.append(lamp) if lamp else None
+        elif object.type in SOLID:
+            shape = reader.shape(object)
+            if shape is None:
+                continue
+            meshes.append(shape.placed(original.name, matrix))
+            own = not instance.is_instance and original.type == "MESH" and (wanted is None or wanted(original.name))
+            targets.append((original, shape, np.linalg.det(matrix[:3, :3]) < 0) if own else None)
+
+    world, materials = read_world(scene.world, reader.ignored), reader.materials
+    result, kept, corner = [], [], 0
+    for mesh, target in zip(meshes, targets):
+        last = corner + len(mesh.corner_vertex)
+        kept.append(target is not None and _writable(target[0], reader.health))
+        if kept[-1]:
+            original, shape, mirrored = target
+            result.append(Target(original.name, corner, last, shape.corner_order(mirrored), shape.same_as(original.data)))
+        corner = last
+    joined = join_meshes(
+        meshes, materials, lamps, World(world), np.array(kept, bool), scene.name,
+        health=tuple(reader.health + _hidden(scene, depsgraph, rendered)), ignored=tuple(dict.fromkeys(reader.ignored)),
+    )  # fmt: skip
+    return joined, tuple(result)
+
+
+@dataclass(frozen=True)
+class _Shape:
+    """A mesh in its own space, as arrays. corner arrays are in Blender's order."""
+
+    vertices: np.ndarray
+    polygon_start: np.ndarray
+    corner_vertex: np.ndarray
+    corner_normal: np.ndarray
+    triangle_corner: np.ndarray
+    triangle_polygon: np.ndarray
+    polygon_material: np.ndarray
+
+    def corner_order(self, mirrored):
+        """(C,) Blender's number of each corner in the order of the scene: a mirrored object's polygons run backward."""
+        order = np.arange(len(self.corner_vertex))
+        if mirrored:
+            size = np.diff(self.polygon_start)
+            order = np.repeat(self.polygon_start[:-1] + self.polygon_start[1:] - 1, size) - order
+        return order
+
+    def placed(self, name, matrix):
+        """The core's Mesh of this shape under a world matrix (4, 4)."""
+        linear, offset = matrix[:3, :3], matrix[:3, 3]
+        mirrored = np.linalg.det(linear) < 0
+        order = self.corner_order(mirrored)
+        with np.errstate(invalid="ignore", over="ignore"):
+            vertices = np.einsum("ij,kj->ki", linear, self.vertices) + offset
+            normal = np.einsum("ij,kj->ki", _cofactor(linear), self.corner_normal) * (-1.0 if mirrored else 1.0)
+            length = np.sqrt((normal * normal).sum(axis=1, keepdims=True))
+            normal = np.where(length > 0, normal / np.where(length > 0, length, 1.0), 0.0)
+        place = np.empty(len(order), np.int64)
+        place[order] = np.arange(len(order))
+        return Mesh(
+            name=name,
+            vertices=vertices,
+            polygon_start=self.polygon_start,
+            corner_vertex=self.corner_vertex[order],
+            corner_normal=normal[order],
+            triangle_corner=place[self.triangle_corner[:, ::-1] if mirrored else self.triangle_corner],
+            triangle_polygon=self.triangle_polygon,
+            polygon_material=self.polygon_material,
+        )
+
+    def same_as(self, mesh):
+        """Whether a Blender mesh has the same polygons of the same vertices."""
+        if len(mesh.loops) != len(self.corner_vertex) or len(mesh.polygons) != len(self.polygon_start) - 1:
+            return False
+        return np.array_equal(_corner_vertex(mesh), self.corner_vertex) and np.array_equal(
+            _polygon_start(mesh), self.polygon_start
+        )
+
+
+def _cofactor(m):
+    """The matrix (3, 3) that turns normals: the inverse transpose times the determinant, so it exists when flat too."""
+    return np.stack([np.cross(m[1], m[2]), np.cross(m[2], m[0]), np.cross(m[0], m[1])])
+
+
+class _Reader:
+    """Shapes and materials, each read once, and what was found on the way."""
+
+    def __init__(self):
+        self.materials, self.ignored, self.health = [], [], []
+        self._numbers, self._shapes = {}, {}
+
+    def shape(self, object):
+        """The _Shape of an evaluated object; None if it has no polygons. Instances of one mesh share it."""
+        key = (object.type, object.data.as_pointer(), tuple(_slots(object)))
+        if key not in self._shapes:
+            mesh = object.to_mesh()
+            self._shapes[key] = self._read(object, mesh) if mesh is not None and len(mesh.polygons) else None
+            object.to_mesh_clear()
+        return self._shapes[key]
+
+    def _read(self, object, mesh):
+        triangles = mesh.loop_triangles
+        corner = np.empty(3 * len(triangles), np.int32)
+        triangles.foreach_get("loops", corner)
+        polygon = np.empty(len(triangles), np.int32)
+        mesh.loop_triangle_polygons.foreach_get("value", polygon)
+        normal = np.empty(3 * len(mesh.loops), np.float32)
+        mesh.corner_normals.foreach_get("vector", normal)
+        return _Shape(
+            vertices=_values(mesh.attributes["position"].data, "vector", 3 * len(mesh.vertices)).reshape(-1, 3).astype(float),
+            polygon_start=_polygon_start(mesh),
+            corner_vertex=_corner_vertex(mesh),
+            corner_normal=normal.reshape(-1, 3).astype(float),
+            triangle_corner=corner.reshape(-1, 3),
+            triangle_polygon=polygon,
+            polygon_material=self._polygon_materials(object, mesh),
+        )
+
+    def _polygon_materials(self, object, mesh):
+        """(P,) number of each polygon's material among all that were read."""
+        slots = _slots(object) or [None]
+        numbers = np.array([self._material(m, object.original.name) for m in slots], np.int32)
+        attribute = mesh.attributes.get("material_index")
+        index = np.zeros(len(mesh.polygons), np.int32)
+        if attribute is not None:
+            index = _values(attribute.data, "value", len(mesh.polygons), np.int32)
+        outside = (index < 0) | (index >= len(numbers))
+        if outside.any():
+            text = f"{int(outside.sum())} faces have a material index outside the {len(numbers)} slots"
+            self.health.append(Finding(object.original.name, text, "the last slot's material was taken, as Blender does"))
+        if None in slots and object.material_slots:
+            used = np.isin(index, [k for k, m in enumerate(slots) if m is None]).sum()
+            if used:
+                text = f"{int(used)} faces have an empty material slot"
+                self.health.append(Finding(object.original.name, text, "they were taken as diffuse with reflectance 0.8"))
+        return numbers[np.clip(index, 0, len(numbers) - 1)]
+
+    def _material(self, material, object):
+        """Number of a Blender material (or None) among those read."""
+        key = material.original.name_full if material else None
+        if key not in self._numbers:
+            self._numbers[key] = len(self.materials)
+            self.materials.append(read_material(material, object, self.ignored))
+        return self._numbers[key]
+
+
+def _slots(object):
+    """The materials of an evaluated object by slot; a slot may hold None."""
+    return [slot.material for slot in object.material_slots]
+
+
+def _values(data, name, count, dtype=np.float32):
+    values = np.empty(count, dtype)
+    data.foreach_get(name, values)
+    return values
+
+
+def _corner_vertex(mesh):
+    return _values(mesh.attributes[".corner_vert"].data, "value", len(mesh.loops), np.int32)
+
+
+def _polygon_start(mesh):
+    start = np.empty(len(mesh.polygons), np.int32)
+    mesh.polygons.foreach_get("loop_start", start)
+    return np.append(start, len(mesh.loops)).astype(np.int32)
+
+
+def _rendered(scene):
+    """Names of the objects in a collection that is rendered."""
+    names = set()
+
+    def visit(collection):
+        if not collection.hide_render:
+            names.update(o.name for o in collection.objects)
+            for child in collection.children:
+                visit(child)
+
+    visit(scene.collection)
+    return names
+
+
+def _hidden(scene, depsgraph, rendered):
+    """Findings about meshes and lamps that would be rendered, but that the view layer hides."""
+    seen = {i.object.original.name for i in depsgraph.object_instances}
+    return [
+        Finding(o.name, "it is hidden in the viewport", "it was left out of the bake, as if it were not there")
+        for o in scene.objects
+        if o.type in SOLID | {"LIGHT"} and o.name in rendered and o.name not in seen and not o.hide_render
+        and not is_made(o) and not o.is_instancer
+    ]  # fmt: skip
+
+
+def _writable(object, health):
+    """Whether an object's light can be written; if not, `health` says why."""
+    if object.library or not object.data.is_editable:
+        action = "its light was not written: make it local, or override it, to bake it"
+        health.append(Finding(object.name, "its mesh is linked from another file", action))
+        return False
+    return True

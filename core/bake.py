@@ -1,0 +1,167 @@
+"""A bake, from a scene to the light at its points: the whole path of the data on one page."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from time import perf_counter, process_time
+
+import numpy as np
+
+from .cells import peak_memory
+from .effects import Survey, survey
+from .gather import Light, gather
+from .host import Solution, make_surfaces, solve
+from .kernel import scene_arrays
+from .lights import make_sources
+from .patches import Patches, make_patches
+from .points import Points, make_points
+from .scene import Scene
+from .settings import Settings
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Where a bake stands. phase: "patches", "transport" or "gather". done: share of the phase, 0..1. round, bound: of
+    the transport. points: gathered so far. rays: cast so far. seconds: since the bake began. left: seconds, a guess."""
+
+    phase: str
+    done: float
+    seconds: float
+    rays: int = 0
+    round: int = 0
+    bound: float | None = None
+    points: int = 0
+    left: float | None = None
+
+
+@dataclass(frozen=True)
+class Bake:
+    """A finished bake: every record of its path, seconds by phase, CPU seconds, and what the cells used."""
+
+    scene: Scene
+    settings: Settings
+    survey: Survey
+    patches: Patches
+    points: Points
+    solution: Solution
+    light: Light
+    seconds: dict = field(default_factory=dict)
+    rays: int = 0
+    cells: dict = field(default_factory=dict)
+
+
+def bake(scene, settings, cells):
+    """Bake a scene: a generator that yields Progress and returns the Bake. cells: any `Cells`; they are left running."""
+    clock = _Clock(cells)
+    found = survey(scene)
+    clock.lap("survey")
+
+    edge = None if settings.patch_edge is None else settings.patch_edge * scene.diagonal
+    patches = make_patches(scene, edge)
+    sources, sampled = make_sources(scene)
+    surfaces = make_surfaces(scene, patches, sampled)
+    sky = np.pi * np.asarray(scene.world.radiance, float)
+    cells.start(scene_arrays(scene, patches, sources))
+    clock.lap("patches")
+    yield Progress("patches", 1.0, clock.total())
+
+    solving = solve(patches, surfaces, sky, cells, settings)
+    solution = yield from _each(solving, lambda r: _of_round(r, settings, clock))
+    clock.lap("transport")
+
+    flipped = _flipped(scene, patches, solution, settings.side)
+    points = make_points(scene, flipped)
+    gathering = gather(points, solution, surfaces, sky, scene.diagonal, cells, settings)
+    light = yield from _each(gathering, lambda done: _of_points(*done, clock))
+    clock.lap("gather")
+    return Bake(
+        scene, settings, found.after(scene, patches, solution, cells.note), patches, points, solution, light,
+        seconds=clock.seconds(), rays=clock.rays(), cells=clock.cells(),
+    )  # fmt: skip
+
+
+def run(generator, show=None):
+    """Drive a generator to its end, showing what it yields; returns what it returns."""
+    while True:
+        try:
+            progress = next(generator)
+        except StopIteration as end:
+            return end.value
+        if show:
+            show(progress)
+
+
+def _each(generator, progress):
+    """Yield `progress` of all that a generator yields; returns what it returns."""
+    while True:
+        try:
+            item = next(generator)
+        except StopIteration as end:
+            return end.value
+        yield progress(item)
+
+
+def _of_round(done, settings, clock):
+    """Progress of the transport: the bound falls about evenly in its logarithm."""
+    share = min(np.log(max(done.bound, 1e-12)) / np.log(settings.error / 10), 1.0) if done.bound < 1 else 0.0
+    return Progress("transport", float(share), clock.total(), clock.rays(), done.number, done.bound)
+
+
+def _of_points(points, count, clock):
+    """Progress of the gather, with a guess at the seconds left."""
+    share = points / max(count, 1)
+    spent = clock.since_lap()
+    return Progress(
+        "gather", share, clock.total(), clock.rays(), points=points, left=spent * (1 - share) / max(share, 1e-9)
+    )
+
+
+def _flipped(scene, patches, solution, side):
+    """(P,) bool: polygons whose back side's light is asked for."""
+    if side == "front":
+        return np.zeros(len(scene.polygon_material), bool)
+    if side == "back":
+        return np.ones(len(scene.polygon_material), bool)
+    power = patches.area[:, None] * solution.irradiance.sum(axis=1).reshape(-1, 2)
+    front, back = (np.bincount(patches.polygon, power[:, k], len(scene.polygon_material)) for k in range(2))
+    return back > front
+
+
+class _Clock:
+    """Wall and CPU seconds of the phases of one bake, and what its cells used, which may have worked before."""
+
+    def __init__(self, cells):
+        self._cells, self._usage = cells, cells.usage.snapshot()
+        self._restarted = cells.restarted
+        self._begun = self._lap = perf_counter()
+        self._cpu = process_time()
+        self._phases = {}
+
+    def lap(self, phase):
+        now = perf_counter()
+        self._phases[phase], self._lap = now - self._lap, now
+
+    def total(self):
+        return perf_counter() - self._begun
+
+    def since_lap(self):
+        return perf_counter() - self._lap
+
+    def rays(self):
+        return self._cells.usage.rays - self._usage.rays
+
+    def seconds(self):
+        used, before = self._cells.usage, self._usage
+        here = process_time() - self._cpu
+        cpu = here + used.cpu - before.cpu - (used.here - before.here)
+        return {**self._phases, "cpu": cpu, "embree_cpu": used.embree - before.embree}
+
+    def cells(self):
+        """Number of cells, restarts, and peak memory [MB] of the host and of each cell."""
+        memory = {k: v for k, v in self._cells.usage.memory.items() if k != "host"}
+        return dict(
+            count=self._cells.count,
+            restarted=self._cells.restarted - self._restarted,
+            host_mb=peak_memory(),
+            cells_mb=list(memory.values()),
+        )

@@ -1,0 +1,330 @@
+"""Cells: the workers that hold the geometry and nothing else, one process each.
+
+Owns what the host may ask of cells, whatever they are: `start(arrays)`, `submit(task)`, `results()` and `stop()`.
+A task is a name in `tasks.TASKS` with small arguments; its result depends on them and on the start arrays alone, so
+tasks may run in any order, anywhere, or twice: a cell that dies is replaced and its tasks are dealt again.
+
+Processes start as `runpy.run_path` of a boot file, with an empty `__main__`: it is the one way that works from inside
+Blender (in background, in the window, from a script) as well as from the bpy module and from pytest.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import runpy
+import signal
+import sys
+import threading
+import types
+from collections import deque
+from dataclasses import dataclass, field, replace
+from multiprocessing import connection
+from time import monotonic
+
+from .kernel import Kernel
+from .tasks import TASKS
+
+BOOT = os.path.join(os.path.dirname(os.path.abspath(__file__)), "cell_boot.py")
+AHEAD = 3  # tasks that a cell holds at a time, so that it never waits for the host
+PATIENCE = 20.0  # seconds without a sign of life from a cell that has work, after which it is replaced
+RESTARTS = 3  # per cell; beyond them the tasks run in this process
+
+
+@dataclass
+class Usage:
+    """What the cells have used: CPU seconds (`here`: those of them in the host's process), seconds of them inside
+    Embree, rays, and the peak memory [MB] of each process."""
+
+    cpu: float = 0.0
+    here: float = 0.0
+    embree: float = 0.0
+    rays: int = 0
+    memory: dict = field(default_factory=dict)
+
+    def snapshot(self):
+        return replace(self, memory=dict(self.memory))
+
+    def add(self, cell, spent):
+        cpu, embree, rays, memory = spent
+        self.cpu += cpu
+        if cell == "host":
+            self.here += cpu
+        self.embree += embree
+        self.rays += int(rays)
+        self.memory[cell] = max(self.memory.get(cell, 0.0), memory)
+
+
+class Cells:
+    """What all kinds of cells have in common.
+
+    count: how many work at a time. restarted: how many were replaced. note: why they are not what was asked for, or "".
+    """
+
+    def __init__(self):
+        self.count, self.restarted, self.note = 1, 0, ""
+        self.usage = Usage()
+        self._next = 0
+        self._kept = {}
+
+    def start(self, arrays):
+        """Give every cell these arrays, {name: array}, in place of any of the same name."""
+        raise NotImplementedError
+
+    def submit(self, name, **arguments):
+        """Queue a task; returns the id under which its result will come."""
+        raise NotImplementedError
+
+    def results(self):
+        """Yield (id, result) of the tasks submitted, in the order they are done, until none is left."""
+        raise NotImplementedError
+
+    def stop(self):
+        """End all cells; nothing of theirs is left."""
+        raise NotImplementedError
+
+    def take(self, ids):
+        """The results of tasks, in the order of their ids; waits for them. Others that come meanwhile are kept."""
+        kept = self._kept
+        if not all(k in kept for k in ids):
+            for number, result in self.results():
+                kept[number] = result
+                if number in ids and all(k in kept for k in ids):
+                    break
+        return [kept.pop(k) for k in ids]
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.stop()
+
+
+class LocalCells(Cells):
+    """Cells in this process: a task is run when its result is asked for."""
+
+    def __init__(self, note=""):
+        super().__init__()
+        self.note = note
+        self._kernel = Kernel({})
+        self._waiting = deque()
+
+    def start(self, arrays):
+        self._kernel = self._kernel.renewed(arrays)
+
+    def submit(self, name, **arguments):
+        self._waiting.append((self._next, name, arguments))
+        self._next += 1
+        return self._next - 1
+
+    def results(self):
+        while self._waiting:
+            number, name, arguments = self._waiting.popleft()
+            result, spent = run_task(self._kernel, name, arguments)
+            self.usage.add("host", spent)
+            yield number, result
+
+    def stop(self):
+        self._waiting.clear()
+        self._kernel = Kernel({})
+
+
+class ProcessCells(Cells):
+    """Cells that are processes of this machine, joined to the host by pipes.
+
+    count: number of cells. Raises OSError if no process can be started at all (see `make_cells`).
+    """
+
+    def __init__(self, count):
+        super().__init__()
+        self.count = count
+        _survive_broken_pipes()
+        self._arrays = {}
+        self._waiting = deque()
+        self._cells = []
+        self._local = None
+        try:
+            for index in range(count):
+                self._cells.append(_Process(index))
+        except BaseException:
+            self.stop()
+            raise
+
+    def start(self, arrays):
+        changed = {k: a for k, a in arrays.items() if self._arrays.get(k) is not a}
+        self._arrays.update(changed)
+        for cell in self._cells:
+            self._send(cell, ("arrays", changed))
+        if self._local:
+            self._local.start(changed)
+
+    def submit(self, name, **arguments):
+        self._waiting.append((self._next, name, arguments))
+        self._next += 1
+        self._deal()
+        return self._next - 1
+
+    def results(self):
+        while self._waiting or any(cell.tasks for cell in self._cells):
+            self._deal()
+            if not self._cells:
+                yield from self._run_here()
+                continue
+            busy = [cell for cell in self._cells if cell.tasks]
+            ready = connection.wait([cell.pipe for cell in busy], timeout=1.0)
+            for cell in busy:
+                if cell.pipe in ready:
+                    message = self._receive(cell)
+                    if message is not None:
+                        yield message
+                elif monotonic() - cell.heard > PATIENCE:
+                    self._replace(cell)
+
+    def stop(self):
+        self._waiting.clear()
+        for cell in self._cells:
+            cell.end()
+        self._cells = []
+
+    def _deal(self):
+        """Give tasks to the cells that hold the fewest."""
+        while self._waiting:
+            cell = min(self._cells, key=lambda c: len(c.tasks), default=None)
+            if cell is None or len(cell.tasks) >= AHEAD:
+                return
+            number, name, arguments = task = self._waiting.popleft()
+            if not cell.tasks:
+                cell.heard = monotonic()
+            cell.tasks[number] = task
+            self._send(cell, ("task", number, name, arguments))
+
+    def _send(self, cell, message):
+        # A cell that is gone is noticed, and replaced, when its pipe is read.
+        with contextlib.suppress(OSError):
+            cell.pipe.send(message)
+
+    def _receive(self, cell):
+        """(id, result) that a cell has sent, None for a mere sign of life or a cell that is gone."""
+        try:
+            kind, *rest = cell.pipe.recv()
+        except (EOFError, OSError):
+            self._replace(cell)
+            return None
+        cell.heard = monotonic()
+        if kind == "alive":
+            return None
+        number, payload, spent = rest
+        cell.tasks.pop(number, None)
+        if kind == "error":
+            raise CellError(payload)
+        self.usage.add(cell.process.pid, spent)
+        return number, payload
+
+    def _replace(self, cell):
+        """Start a new cell in place of one that died or hangs, and deal its tasks again."""
+        tasks = list(cell.tasks.values())
+        cell.end()
+        self._waiting.extendleft(reversed(tasks))
+        place = self._cells.index(cell)
+        self.restarted += 1
+        if self.restarted > RESTARTS * self.count:
+            del self._cells[place]
+            self.note = "cells keep dying; their work was done in this process"
+            return
+        try:
+            self._cells[place] = fresh = _Process(cell.index)
+        except OSError as error:
+            del self._cells[place]
+            self.note = f"no new cell could be started ({error}); its work was done in this process"
+            return
+        self._send(fresh, ("arrays", self._arrays))
+
+    def _run_here(self):
+        """Do the waiting tasks in this process: no cell is left."""
+        if not self._local:
+            self._local = LocalCells()
+            self._local.start(self._arrays)
+            self._local.usage = self.usage
+        while self._waiting:
+            number, name, arguments = self._waiting.popleft()
+            self._local.submit(name, **arguments)
+            yield from ((number, result) for _, result in self._local.results())
+
+
+class CellError(RuntimeError):
+    """A task failed in a cell; the message is the cell's own traceback."""
+
+
+class _Process:
+    """One cell: its process, the pipe to it, and the tasks it holds, {id: (id, name, arguments)}."""
+
+    def __init__(self, index):
+        context = multiprocessing.get_context("spawn")
+        self.index, self.tasks, self.heard = index, {}, monotonic()
+        self.pipe, there = context.Pipe()
+        self.process = context.Process(target=runpy.run_path, args=(BOOT, {"pipe": there}, "radiosity_cell"), daemon=True)
+        with _empty_main():
+            self.process.start()
+        there.close()  # so that the pipe ends when the cell does
+
+    def end(self):
+        """Kill the cell and wait until it is gone."""
+        self.pipe.close()
+        if self.process.is_alive():
+            self.process.kill()
+        self.process.join()
+
+
+def make_cells(count):
+    """Cells: `count` processes; if none can be started, cells in this process, which say why in their `note`."""
+    if not sys.executable:
+        return LocalCells("there is no Python program to start cells with; the work was done in this process")
+    try:
+        return ProcessCells(count)
+    except OSError as error:
+        return LocalCells(f"no process could be started ({error}); the work was done in this process")
+
+
+def run_task(kernel, name, arguments):
+    """The result of a task, and what it used: (CPU seconds, those inside Embree, rays, peak memory [MB])."""
+    from time import thread_time
+
+    begun = thread_time()
+    result = TASKS[name](kernel, **arguments)
+    embree, rays = kernel.spent()
+    return result, (thread_time() - begun, embree, rays, peak_memory())
+
+
+def peak_memory():
+    """Peak memory of this process so far [MB]; 0 where the system does not say."""
+    try:
+        # A new process inherits its parent's peak in getrusage; Linux keeps the process's own here.
+        with open("/proc/self/status") as status:
+            return next(float(line.split()[1]) / 1024 for line in status if line.startswith("VmHWM"))
+    except (OSError, StopIteration):
+        pass
+    try:
+        import resource
+    except ImportError:
+        return 0.0
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1 << 20 if sys.platform == "darwin" else 1 << 10)
+
+
+@contextlib.contextmanager
+def _empty_main():
+    """While a process is spawned, hide the program's `__main__`: the child would run it again (a Blender script, say)."""
+    main = sys.modules["__main__"]
+    sys.modules["__main__"] = types.ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = main
+
+
+def _survive_broken_pipes():
+    """Where SIGPIPE is at its default (as inside some Blenders), writing to a dead cell would end the whole program."""
+    if not hasattr(signal, "SIGPIPE") or threading.current_thread() is not threading.main_thread():
+        return
+    if signal.getsignal(signal.SIGPIPE) == signal.SIG_DFL:
+        signal.signal(signal.SIGPIPE, signal.SIG_IGN)

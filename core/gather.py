@@ -1,0 +1,218 @@
+"""Phase 2: the light that arrives at points.
+
+Owns the gathering of light at points and the filter of its indirect part. Every source counts exactly once: sampled
+sources by test rays (`direct`), light of faces that are not sampled and of the sky by the gather rays that meet them
+(also `direct`), reflected light by the gather rays that meet lit patches (`indirect`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .lights import FLAT, SUN, test_rays, unoccluded, visible_share
+from .records import to_arrays
+from .rows import blocks
+from .sampling import R2, hemisphere, lattice, scatter, tangents
+
+TASK_RAYS = 1 << 17  # of one task: some 20 to 50 ms
+TABLES = 64  # direction tables, each turned by a step of its own; a point's shift picks one
+APART = (0.41421356237309503, 0.7320508075688772)  # steps from point to point of the test rays' shifts
+GATHER, TEST = 3, 4  # salts of the sample sequences
+
+TESTS = 4  # test rays toward a source, before it is known whether it is partly hidden
+PENUMBRA = 1.5  # more test rays where it is, as a multiple of the gather rays
+DIM = 0.02  # a point that gets less than this share of its unoccluded light is tested DIM_TESTS times more
+DIM_TESTS = 16
+
+STEPS = 4  # diffusion steps of the filter
+REACH = 0.4  # of the filter, in harmonic mean free distances, at 64 gather rays
+SMOOTH = 0.9510565162951535  # cosine of 18 degrees: the largest turn between points that the filter mixes
+
+
+@dataclass(frozen=True)
+class Light:
+    """Irradiance at P points [W/m^2]: direct (P, 3) straight from sources, indirect (P, 3) reflected at least once."""
+
+    direct: np.ndarray
+    indirect: np.ndarray
+
+
+def gather(points, solution, surfaces, sky, diagonal, cells, settings):
+    """Find the Light at points: a generator that yields (points done, all points) and returns the Light.
+
+    sky: (3,) exitance of the world [W/m^2]; diagonal: of the scene [m]. cells: started with `kernel.scene_arrays`.
+    """
+    # What a ray brings: light reflected by the side it meets, and light that no sampled source stands for.
+    light = np.concatenate([solution.reflected, surfaces.found], axis=1)
+    beyond = np.concatenate([np.zeros(3), sky])
+    cells.start({**to_arrays("points", points), "gather.light": np.vstack([light, beyond])})
+    size = max(TASK_RAYS // (settings.gather_rays + TESTS), 1)
+    starts = range(0, len(points), size)
+    tasks = [
+        cells.submit("gather", start=k, stop=min(k + size, len(points)), rays=settings.gather_rays, seed=settings.seed)
+        for k in starts
+    ]
+    found = {k: np.zeros((len(points), 3)) for k in ("direct", "indirect")} | {"nearness": np.zeros(len(points))}
+    for start, task in zip(starts, tasks):
+        (result,) = cells.take([task])
+        for name, values in result.items():
+            found[name][start : start + len(values)] = values
+        yield start + len(result["nearness"]), len(points)
+    reach = REACH * (64 / settings.gather_rays) ** 0.35 * diagonal
+    indirect = smooth(points, found["indirect"], reach / np.maximum(found["nearness"], 1e-9))
+    return Light(found["direct"], indirect)
+
+
+def gather_points(kernel, start, stop, rays, seed):
+    """Light at points start to stop: "direct", "indirect" (K, 3) [W/m^2], and "nearness" (K,), the mean inverse
+    distance that their rays went, in scene diagonals."""
+    found = {"direct": _direct(kernel, start, stop, rays, seed), "indirect": np.empty((stop - start, 3))}
+    found["nearness"] = np.empty(stop - start)
+    light = kernel.arrays["gather.light"]
+    tables = _direction_tables(rays, seed)
+    for part in blocks(stop - start, rays):
+        ids = np.arange(start, stop)[part]
+        normal, geometric = kernel.points.normal[ids], kernel.points.geometric[ids]
+        origin = kernel.caster.start(kernel.points.position[ids], geometric)
+        x, y, z = _world_rays(tables, ids, normal, seed)
+        directions = np.stack([x.reshape(-1), y.reshape(-1), z.reshape(-1)]).T
+        side, _, distance = kernel.sides_hit(np.repeat(origin, rays, axis=0), directions)
+        arriving = np.take(light, side, axis=0, mode="wrap").reshape(len(ids), rays, 6)
+        if (normal != geometric).any():
+            arriving *= _above(x, y, z, geometric)[..., None]
+        mean = np.einsum("knc->kc", arriving) / rays
+        found["indirect"][part] = mean[:, :3]
+        found["direct"][part] += mean[:, 3:]
+        near = 1.0 / np.maximum(distance, 1e-6).astype(float)
+        found["nearness"][part] = np.einsum("kn->k", near.reshape(-1, rays)) / rays
+    return found
+
+
+def smooth(points, light, reach):
+    """Light (P, 3) with its noise diffused over the mesh edges, by steps that bend with it.
+
+    reach: (P,) how far light may be mixed [m]. Points whose normals differ by more than 18 degrees are not mixed. What
+    the diffusion F does to the light itself is undone in part: the result is 2 F - F F.
+    """
+    start, there = points.neighbor_start, points.neighbor
+    here = np.repeat(np.arange(len(points)), np.diff(start))
+    apart = points.position[here] - points.position[there]
+    distance = np.sqrt((apart * apart).sum(axis=1))
+    degree = np.maximum(np.diff(start), 1)
+    share = np.minimum(reach[here], reach[there]) / np.maximum(distance, 1e-300)
+    weight = np.minimum(1.0, share * share / 4) / np.maximum(degree[here], degree[there])
+    weight[(points.normal[here] * points.normal[there]).sum(axis=1) < SMOOTH] = 0.0
+    alone = np.flatnonzero(np.diff(start) == 0)
+    run = start[:-1] - (start[:-1] == len(there))  # reduceat wants indices inside, also for the last empty runs
+
+    def diffuse(light):
+        for _ in range(STEPS if len(there) else 0):
+            flow = weight[:, None] * (light[there] - light[here])
+            change = np.add.reduceat(flow, run, axis=0)
+            change[alone] = 0.0
+            light = light + change
+        return light
+
+    once = diffuse(light)
+    return 2 * once - diffuse(once)
+
+
+def _direct(kernel, start, stop, rays, seed):
+    """(K, 3) light of the sampled sources at points start to stop [W/m^2].
+
+    All are tested a few times, with their neighbors outside the range; where a source is partly hidden, or hidden for
+    one point and not for the next, more test rays follow.
+    """
+    points, sources = kernel.points, kernel.sources
+    if not len(sources):
+        return np.zeros((stop - start, 3))
+    here, there = _pairs(points, start, stop)
+    outside = np.unique(there[(there < start) | (there >= stop)])
+    ids = np.concatenate([np.arange(start, stop), outside])
+    there = np.where((there < start) | (there >= stop), stop - start + np.searchsorted(outside, there), there - start)
+    position, normal, geometric = points.position[ids], points.normal[ids], points.geometric[ids]
+    origin = kernel.caster.start(position, geometric)
+
+    def test(s, who, first, count):
+        """Sums of the weights (K,) of `count` (K,) test rays of each of `who` (K,), from number `first` on, and of
+        those that get through."""
+        begin = np.cumsum(count) - count
+        owner = np.repeat(np.arange(len(who)), count)
+        a, b = _test_places(ids[who][owner], first + np.arange(len(owner)) - begin[owner], s, seed)
+        each = (x[who][owner] for x in (position, normal, geometric, origin))
+        weight, seen = test_rays(sources, s, kernel.caster, *each, a, b)
+        return np.add.reduceat(weight, begin), np.add.reduceat(seen, begin)
+
+    factor = np.stack([unoccluded(sources, s, position, normal) for s in range(len(sources))], axis=1)
+    weight, seen = np.zeros(factor.shape), np.zeros(factor.shape)
+    for s in range(len(sources)):
+        lit = np.flatnonzero(factor[:, s] > 0)
+        if len(lit):
+            weight[lit, s], seen[lit, s] = test(s, lit, 0, np.full(len(lit), 1 if _sharp(sources, s) else TESTS))
+
+    # Where the light is partly hidden: more rays, by the source's share of what the point could get.
+    possible = factor * sources.strength.max(axis=1)
+    share = visible_share(possible, possible.sum(axis=1, keepdims=True))
+    dim = (possible * visible_share(seen, weight)).sum(axis=1) < DIM * possible.sum(axis=1)
+    for s in range(len(sources)):
+        if _sharp(sources, s):
+            continue
+        state = np.where(weight[:, s] > 0, np.sign(seen[:, s]) + (seen[:, s] < weight[:, s]), -1)
+        differs = (state[here] != state[there]) & (state[here] >= 0) & (state[there] >= 0)
+        mixed = (state == 2) | (np.bincount(here, differs, len(ids)) > 0)
+        count = np.where(mixed, np.clip(PENUMBRA * rays * share[:, s] ** 0.8, 4, 2 * PENUMBRA * rays), 0)
+        count = np.where(dim & (state >= 0), np.maximum(count, DIM_TESTS), count).astype(np.int64)
+        more = np.flatnonzero(count[: stop - start])
+        if len(more):
+            extra = test(s, more, TESTS, count[more])
+            weight[more, s] += extra[0]
+            seen[more, s] += extra[1]
+    arriving = (factor * visible_share(seen, weight))[: stop - start]
+    return np.einsum("ks,sc->kc", arriving, sources.strength)
+
+
+def _sharp(sources, s):
+    """Whether a source is a mere point, which is seen or not."""
+    return sources.kind[s] != FLAT and sources.radius[s] == 0
+
+
+def _pairs(points, start, stop):
+    """The points from start to stop, counted from 0 and repeated, and their neighbors: two (E,) arrays."""
+    runs = points.neighbor_start[start : stop + 1]
+    return np.repeat(np.arange(stop - start), np.diff(runs)), points.neighbor[runs[0] : runs[-1]]
+
+
+def _direction_tables(rays, seed):
+    """(TABLES, 3, rays) float32 cosine-distributed directions about +z, each table's lattice shifted on."""
+    u, v = lattice(rays)
+    shift = (np.arange(TABLES) / TABLES + scatter(np.arange(1), GATHER + 8 * seed)) % 1.0
+    direction = hemisphere((u + shift[:, None]) % 1.0, np.broadcast_to(v, (TABLES, rays)))
+    return np.ascontiguousarray(np.moveaxis(direction, -1, 1)).astype(np.float32)
+
+
+def _world_rays(tables, ids, normal, seed):
+    """Directions of the rays of points as x, y, z (K, n) float32: a table for each point, turned about its normal."""
+    table = ((ids * R2[0]) % 1.0 * TABLES).astype(np.int64)
+    turn = 2 * np.pi * ((ids * R2[1] + scatter(np.arange(1), GATHER + 8 * seed + 4)) % 1.0)
+    t1, t2 = tangents(normal)
+    cosine, sine = np.cos(turn)[:, None], np.sin(turn)[:, None]
+    frame = np.stack([cosine * t1 + sine * t2, cosine * t2 - sine * t1, normal], axis=1).astype(np.float32)
+    local = tables[table]
+    return tuple(
+        frame[:, 0, k, None] * local[:, 0] + frame[:, 1, k, None] * local[:, 1] + frame[:, 2, k, None] * local[:, 2]
+        for k in range(3)
+    )
+
+
+def _above(x, y, z, geometric):
+    """(K, n) bool: the rays that leave above the surface itself."""
+    g = geometric.astype(np.float32)
+    return x * g[:, :1] + y * g[:, 1:2] + z * g[:, 2:] > 0
+
+
+def _test_places(ids, number, s, seed):
+    """Places a, b (K,) on source s for test rays `number` (K,) of points ids (K,): the R2 sequence, shifted by point."""
+    shift = scatter(np.arange(2) + 2 * s, TEST + 8 * seed)
+    return tuple((ids * APART[k] + number * R2[k] + shift[k]) % 1.0 for k in range(2))

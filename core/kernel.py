@@ -1,0 +1,84 @@
+"""What a cell holds: the arrays that every task works on, and the ray caster built over them.
+
+Owns the `Kernel` and the one step that all tasks share, finding the patch sides that rays meet. Nothing here changes
+from task to task, so a task may run twice, anywhere, in any order, with the same result.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+from .lights import Sources
+from .patches import Patches, patch_of_hit
+from .points import Points
+from .raycast import RayCaster
+from .records import from_arrays, to_arrays
+
+BLOCK = 1 << 14  # rays cast at a time: their arrays stay in the processor's cache
+
+
+def scene_arrays(scene, patches, sources):
+    """The arrays that cells need for transport, as {name: array}."""
+    return {
+        "scene.vertices": scene.vertices,
+        "scene.triangles": scene.triangles,
+        "scene.usable": scene.usable,
+        **to_arrays("patches", patches),
+        **to_arrays("sources", sources),
+    }
+
+
+class Kernel:
+    """The arrays of a cell by name, and what is built from them when first asked for."""
+
+    def __init__(self, arrays):
+        self.arrays = dict(arrays)
+
+    @cached_property
+    def caster(self):
+        return RayCaster(self.vertices, self.triangles, self.arrays["scene.usable"])
+
+    @property
+    def vertices(self):
+        return self.arrays["scene.vertices"]
+
+    @property
+    def triangles(self):
+        return self.arrays["scene.triangles"]
+
+    @cached_property
+    def patches(self):
+        return from_arrays(Patches, "patches", self.arrays)
+
+    @cached_property
+    def sources(self):
+        return from_arrays(Sources, "sources", self.arrays)
+
+    @cached_property
+    def points(self):
+        return from_arrays(Points, "points", self.arrays)
+
+    def renewed(self, arrays):
+        """A kernel with some arrays replaced; what was built from the others is kept."""
+        kernel = Kernel({**self.arrays, **arrays})
+        built = {"caster": "scene.", "patches": "patches.", "sources": "sources.", "points": "points."}
+        for name, prefix in built.items():
+            if name in self.__dict__ and not any(key.startswith(prefix) for key in arrays):
+                kernel.__dict__[name] = self.__dict__[name]
+        return kernel
+
+    def spent(self):
+        """CPU seconds inside Embree and rays cast since the last call."""
+        return self.caster.spent() if "caster" in self.__dict__ else (0.0, 0)
+
+    def sides_hit(self, origins, directions):
+        """What K rays meet first: side (K,) int32, 2 * patch + (1 on its back), -1 where the ray escaped; and the
+        triangle (K,), its distance (K,) in scene diagonals."""
+        triangle, u, v, distance, back = self.caster.hits(origins, directions)
+        side = patch_of_hit(self.patches, triangle, u, v)
+        side *= 2
+        side += back
+        side[triangle < 0] = -1
+        return side, triangle, distance

@@ -1,0 +1,36 @@
+"""Layers: what the light at points becomes in a color attribute. Linear, unbounded, as radiance."""
+
+from __future__ import annotations
+
+import numpy as np
+
+LAYERS = ("Radiosity", "Lighting", "Direct", "Indirect")
+
+
+def layer_colors(bake, layer):
+    """(C, 3) float64 color of every corner of the scene in a layer; 0 at corners without a point.
+
+    Radiosity: (exitance + reflectance * irradiance) / pi, what the eye sees. Lighting: irradiance / pi, without the
+    surface's own color. Direct, Indirect: its two parts. Raises ValueError for a layer that is not known.
+    """
+    light, points, scene = bake.light, bake.points, bake.scene
+    parts = {"Direct": light.direct, "Indirect": light.indirect}
+    if layer not in LAYERS:
+        raise ValueError(f"layer {layer!r} is not one of {', '.join(LAYERS)}")
+    irradiance = parts[layer] if layer in parts else light.direct + light.indirect
+    colors = np.zeros((len(scene.corner_vertex), 3))
+    colors[points.corner] = irradiance[points.corner_point]
+    if layer == "Radiosity":
+        reflectance, exitance = (
+            np.array([getattr(m, name) for m in scene.materials], float) for name in ("reflectance", "exitance")
+        )
+        polygon = np.repeat(np.arange(len(scene.polygon_material)), np.diff(scene.polygon_start))[points.corner]
+        material = scene.polygon_material[polygon]
+        colors[points.corner] = exitance[material] + reflectance[material] * colors[points.corner]
+    return colors / np.pi
+
+
+def vertex_means(colors, corner_vertex, count):
+    """(V, 3) plain mean of corner colors (C, 3) over the corners of each of `count` vertices; 0 at loose ones."""
+    number = np.maximum(np.bincount(corner_vertex, minlength=count), 1)
+    return np.stack([np.bincount(corner_vertex, colors[:, c], count) for c in range(3)], axis=1) / number[:, None]

@@ -1,0 +1,365 @@
+"""Direct light: lamps and flat emitting faces as sources that are sampled, one by one.
+
+Owns the record `Sources`, the merging of emitting polygons into flat sources, the exact irradiance of an unobstructed
+source, and the test rays that find how much of it is visible. Lamps never block rays; emitting faces do.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from .polygons import polygon_factor
+from .sampling import tangents
+from .scene import newell_normals
+
+FLAT, BALL, SUN = 0, 1, 2  # kinds of source: a flat polygon, a point or spot lamp, a sun
+MOST_SOURCES = 32  # emitting faces beyond the strongest ones are found by the gather rays instead
+MOST_MERGED = 4096  # emitting polygons beyond this number are not merged into flat sources
+NEAR = 0.15  # a patch is near a source if it reaches further than this share of the distance to it
+DISK_SIDES = 24  # of the polygon, equal in area, that stands for a disk or ellipse
+
+
+@dataclass(frozen=True)
+class Sources:
+    """S sources of direct light.
+
+    kind: (S,) int8. strength: (S, 3) exitance of a FLAT [W/m^2], intensity of a BALL [W/sr], irradiance of a surface
+    that faces a SUN [W/m^2]. position: (S, 3) center. direction: (S, 3) unit, the way it shines (a FLAT's normal).
+    two_sided: (S,) bool. radius: (S,) of a BALL [m], or sine of the half angle of a SUN. soft: (S,) bool, a BALL is a
+    disk that faces the receiver. cone: (S, 2) cosine of a spot's half angle (-1: no cone) and its blend.
+    corner_start: (S + 1,) int32, corner: (C, 3) convex polygons of the FLAT ones.
+    """
+
+    kind: np.ndarray
+    strength: np.ndarray
+    position: np.ndarray
+    direction: np.ndarray
+    two_sided: np.ndarray
+    radius: np.ndarray
+    soft: np.ndarray
+    cone: np.ndarray
+    corner_start: np.ndarray
+    corner: np.ndarray
+
+    def __len__(self):
+        return len(self.kind)
+
+    def polygon(self, s):
+        """(V, 3) corners of FLAT source s."""
+        return self.corner[self.corner_start[s] : self.corner_start[s + 1]]
+
+
+def make_sources(scene):
+    """The Sources of a scene, and which of its polygons they stand for: (P,) bool.
+
+    An emitting polygon that is not among them is light that rays find by hitting it.
+    """
+    found = [_of_lamp(lamp) for lamp in scene.lamps if max(lamp.strength) > 0]
+    sampled = np.zeros(len(scene.polygon_material), bool)
+    flats = sorted(_emitting_flats(scene), key=lambda flat: (-flat[2], flat[0][0]))
+    for polygons, corners, _ in flats[:MOST_SOURCES]:
+        sampled[polygons] = True
+        exitance = scene.materials[scene.polygon_material[polygons[0]]].exitance
+        found.append(_source(FLAT, exitance, corners.mean(axis=0), _normal(corners), two_sided=True, corners=corners))
+    return _joined(found), sampled
+
+
+def unoccluded(sources, s, position, normal):
+    """(K,) irradiance per unit of strength that source s would give points with nothing in between."""
+    kind = sources.kind[s]
+    if kind == SUN:
+        return np.maximum(-(normal * sources.direction[s]).sum(axis=1), 0.0)
+    if kind == FLAT:
+        factor = polygon_factor(position, normal, sources.polygon(s))
+        if not sources.two_sided[s]:
+            factor *= ((position - sources.position[s]) * sources.direction[s]).sum(axis=1) > 0
+        return factor
+    toward = sources.position[s] - position
+    square = (toward * toward).sum(axis=1)
+    distance = np.sqrt(square)
+    radius = sources.radius[s]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        cosine = np.where(distance > 0, (toward * normal).sum(axis=1) / distance, 0.0)
+        spread = square + radius * radius if sources.soft[s] else np.maximum(square, radius * radius)
+        factor = np.where(spread > 0, np.maximum(cosine, 0.0) / spread, 0.0)
+    if radius > 0:
+        # A disk that the horizon cuts: Lambert's factor of the part above it.
+        cut = np.abs(cosine) * np.sqrt(square + radius * radius) < radius
+        if cut.any():
+            disk = _facing_disk(sources.position[s], toward[cut], radius)
+            factor[cut] = polygon_factor(position[cut], normal[cut], disk) / radius**2
+    edge, blend = sources.cone[s]
+    if edge > -1:
+        along = -(toward * sources.direction[s]).sum(axis=1)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            rise = np.where(distance > 0, along / distance, 0.0) - edge
+        ramp = np.clip(rise / max((1.0 - edge) * blend, 1e-12), 0.0, 1.0)
+        factor *= ramp * ramp * (3.0 - 2.0 * ramp)
+    return factor
+
+
+def patch_irradiance(sources, caster, position, normal, a, b):
+    """(K, 3) mean direct irradiance [W/m^2] of K patches, from places (K, n, 3) on them.
+
+    From each place one test ray goes to the place a, b (K, n) of every source. normal: (K, 3). A source gives Lambert's
+    exact factor times the visible share, sum(weight seen) / sum(weight) over the test rays: with weights left out, or
+    a single ray, a source seen at a grazing angle comes out too dark.
+    """
+    count, places = a.shape
+    total = np.zeros((count, 3))
+    start = caster.start(position, normal[:, None])
+    for s in range(len(sources)):
+        factor = _mean_factor(sources, s, position, normal)
+        lit = np.flatnonzero(factor > 0)
+        if not len(lit):
+            continue
+        each = np.repeat(normal[lit], places, axis=0)
+        flat = (x[lit].reshape(len(lit) * places, -1) for x in (position, start))
+        place, origin = flat
+        weight, seen = test_rays(sources, s, caster, place, each, each, origin, a[lit].reshape(-1), b[lit].reshape(-1))
+        share = visible_share(seen.reshape(-1, places).sum(axis=1), weight.reshape(-1, places).sum(axis=1))
+        total[lit] += (factor[lit] * share)[:, None] * sources.strength[s]
+    return total
+
+
+def visible_share(seen, weight):
+    """Visible shares 0..1 of sums of weights; 0 where there is no weight."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(weight > 0, seen / weight, 0.0)
+
+
+def test_rays(sources, s, caster, position, normal, geometric, start, a, b):
+    """Weights (K,) of K test rays toward source s, and the same where the ray gets there, 0 where it is blocked.
+
+    position, normal, geometric: (K, 3) where each ray starts, the axis of its hemisphere and the surface's own normal;
+    start: (K, 3) float32, the position as the caster wants it; a, b: (K,) in [0, 1), the place on the source it goes to.
+    A weight is proportional to what reaches the position from there; it is 0 below either horizon.
+    """
+    if sources.kind[s] == SUN:
+        toward = _sun_directions(sources, s, a, b)
+        weight = (toward * normal).sum(axis=1)
+    else:
+        aim = _on_polygon(sources.polygon(s), a, b) if sources.kind[s] == FLAT else _on_disk(sources, s, position, a, b)
+        toward = aim - position
+        # Equal parts of the source give cos cos' / r^2, with cos' = height / r on a flat one.
+        weight = (toward * normal).sum(axis=1)
+        if sources.kind[s] == FLAT:
+            square = (toward * toward).sum(axis=1)
+            weight /= np.maximum(square * square, 1e-300)
+    weight = np.where((toward * geometric).sum(axis=1) > 0, np.maximum(weight, 0.0), 0.0)
+    cast = np.flatnonzero(weight)
+    if sources.kind[s] == SUN:
+        blocked = caster.blocked_toward(start[cast], toward[cast].astype(np.float32))
+    elif sources.kind[s] == FLAT:
+        # Aim at a place just above the face, on the side that is seen: the face does not block itself.
+        side = np.sign(-(toward[cast] * sources.direction[s]).sum(axis=1, keepdims=True))
+        blocked = caster.blocked(start[cast], caster.start(aim[cast], side * sources.direction[s]))
+    else:
+        blocked = caster.blocked(start[cast], caster.place(aim[cast]))
+    seen = weight.copy()
+    seen[cast[blocked]] = 0.0
+    return weight, seen
+
+
+def _mean_factor(sources, s, position, normal):
+    """(K,) unoccluded irradiance per unit of strength: the mean over places (K, n, 3)."""
+    places = position.shape[1]
+    center = position.mean(axis=1)
+    factor = unoccluded(sources, s, center, normal)
+    if places > 1 and sources.kind[s] != SUN:
+        # Where the places are far apart for their distance from the source, they do not all get what their middle gets.
+        spread = np.sqrt(((position - center[:, None]) ** 2).sum(axis=-1).max(axis=1))
+        near = np.flatnonzero(spread > NEAR * _distance(sources, s, center))
+        flat = position[near].reshape(-1, 3)
+        factor[near] = unoccluded(sources, s, flat, np.repeat(normal[near], places, axis=0)).reshape(-1, places).mean(1)
+    return factor
+
+
+def _distance(sources, s, position):
+    """(K,) lower bound on the distance from points to source s."""
+    toward = position - sources.position[s]
+    if sources.kind[s] != FLAT:
+        return np.sqrt((toward * toward).sum(axis=1))
+    reach = np.sqrt(((sources.polygon(s) - sources.position[s]) ** 2).sum(axis=1).max())
+    height = np.abs((toward * sources.direction[s]).sum(axis=1))
+    return np.maximum(np.sqrt((toward * toward).sum(axis=1)) - reach, height)
+
+
+def _source(kind, strength, position, direction, two_sided=False, radius=0.0, soft=True, cone=(-1, 0), corners=()):
+    """A `Sources` of one."""
+    corners = np.asarray(corners, float).reshape(-1, 3)
+    return Sources(
+        kind=np.array([kind], np.int8),
+        strength=np.array([strength], float),
+        position=np.array([position], float),
+        direction=np.array([direction], float),
+        two_sided=np.array([two_sided], bool),
+        radius=np.array([radius], float),
+        soft=np.array([soft], bool),
+        cone=np.array([cone], float),
+        corner_start=np.array([0, len(corners)], np.int32),
+        corner=corners,
+    )
+
+
+def _joined(found):
+    """One `Sources` of many."""
+    found = [_source(FLAT, (0,) * 3, (0,) * 3, (0,) * 3)] + found  # gives an empty list its shapes
+    joined = {f.name: np.concatenate([getattr(s, f.name) for s in found])[1:] for f in fields(Sources)}
+    sizes = [len(s.corner) for s in found]
+    joined.update(corner_start=np.cumsum(sizes).astype(np.int32), corner=np.concatenate([s.corner for s in found]))
+    return Sources(**joined)
+
+
+def _of_lamp(lamp):
+    """The source of a lamp. Raises ValueError naming a lamp of unknown kind."""
+    x, y, z = np.asarray(lamp.axes, float)
+    position = np.asarray(lamp.position, float)
+    if lamp.kind == "sun":
+        return _source(SUN, lamp.strength, position, -z, radius=float(np.sin(min(lamp.angle, np.pi) / 2)))
+    if lamp.kind in ("point", "spot"):
+        cone = (float(np.cos(lamp.angle / 2)), lamp.blend) if lamp.kind == "spot" else (-1.0, 0.0)
+        return _source(BALL, lamp.strength, position, -z, radius=lamp.radius, soft=lamp.soft, cone=cone)
+    if lamp.kind == "area":
+        if lamp.ellipse:
+            turn = 2 * np.pi * np.arange(DISK_SIDES) / DISK_SIDES
+            reach = 0.5 * np.sqrt(2 * np.pi / (DISK_SIDES * np.sin(2 * np.pi / DISK_SIDES)))
+            outline = reach * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+        else:
+            outline = 0.5 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+        corners = position + outline[:, :1] * lamp.size[0] * x + outline[:, 1:] * lamp.size[1] * y
+        return _source(FLAT, np.pi * np.asarray(lamp.strength), position, -z, corners=corners)
+    raise ValueError(f"{lamp.name}: lamps of kind {lamp.kind!r} are not known")
+
+
+def _facing_disk(center, toward, radius):
+    """(K, V, 3) polygons, equal in area to a disk about `center` that faces the points center - toward."""
+    distance = np.sqrt((toward * toward).sum(axis=1, keepdims=True))
+    axis = np.where(distance > 0, toward / np.maximum(distance, 1e-300), [0.0, 0.0, 1.0])
+    t1, t2 = tangents(axis)
+    turn = 2 * np.pi * np.arange(DISK_SIDES) / DISK_SIDES
+    reach = radius * np.sqrt(2 * np.pi / (DISK_SIDES * np.sin(2 * np.pi / DISK_SIDES)))
+    return center + reach * (np.cos(turn)[:, None] * t1[:, None] + np.sin(turn)[:, None] * t2[:, None])
+
+
+def _on_polygon(corners, a, b):
+    """(..., 3) places spread evenly over a convex polygon by a, b (...) in [0, 1)."""
+    e1, e2 = corners[1:-1] - corners[0], corners[2:] - corners[0]
+    area = np.sqrt((np.cross(e1, e2) ** 2).sum(axis=1))
+    if len(corners) == 4 and np.abs(e1[0] + corners[3] - corners[2]).max() <= 1e-9 * np.abs(e2[0]).max():
+        return corners[0] + a[..., None] * e1[0] + b[..., None] * e2[1]
+    upper = np.cumsum(area)
+    target = a * upper[-1]
+    triangle = np.minimum(np.searchsorted(upper, target, side="right"), len(area) - 1)
+    share = np.clip((target - (upper - area)[triangle]) / np.maximum(area[triangle], 1e-300), 0.0, 1.0)
+    root = np.sqrt(1.0 - share)
+    return corners[0] + (b * root)[..., None] * e1[triangle] + (1.0 - root)[..., None] * e2[triangle]
+
+
+def _sun_directions(sources, s, a, b):
+    """(K, 3) unit vectors toward places spread evenly over a sun's disk."""
+    axis = -sources.direction[s]
+    if sources.radius[s] == 0:
+        return np.broadcast_to(axis, (len(a), 3))
+    x, y = _disk(a, b)
+    t1, t2 = tangents(axis)
+    toward = axis + sources.radius[s] * (x[:, None] * t1 + y[:, None] * t2)
+    return toward / np.sqrt((toward * toward).sum(axis=1, keepdims=True))
+
+
+def _on_disk(sources, s, position, a, b):
+    """(K, 3) places spread evenly over a lamp's disk, which faces each of the positions (K, 3)."""
+    if sources.radius[s] == 0:
+        return np.broadcast_to(sources.position[s], (len(a), 3))
+    toward = sources.position[s] - position
+    distance = np.sqrt((toward * toward).sum(axis=1, keepdims=True))
+    t1, t2 = tangents(np.where(distance > 0, toward / np.maximum(distance, 1e-300), [0.0, 0.0, 1.0]))
+    x, y = _disk(a, b)
+    return sources.position[s] + sources.radius[s] * (x[:, None] * t1 + y[:, None] * t2)
+
+
+def _disk(a, b):
+    """Places x, y spread evenly over the unit disk."""
+    radius, turn = np.sqrt(a), 2 * np.pi * b
+    return radius * np.cos(turn), radius * np.sin(turn)
+
+
+def _normal(corners):
+    """Unit normal of a planar polygon's corners (V, 3)."""
+    n = np.cross(corners[1:-1] - corners[0], corners[2:] - corners[0]).sum(axis=0)
+    return n / max(np.sqrt((n * n).sum()), 1e-300)
+
+
+def _emitting_flats(scene):
+    """Emitting polygons merged into convex flat shapes: list of (polygons (k,), corners (V, 3), power [W])."""
+    exitance = np.array([m.exitance for m in scene.materials], float).reshape(-1, 3).sum(axis=1)
+    area = np.bincount(
+        scene.triangle_polygon[scene.usable], scene.triangle_normal_area[1][scene.usable], len(scene.polygon_material)
+    )
+    emitting = np.flatnonzero((exitance[scene.polygon_material] > 0) & (area > 0))
+    normal = newell_normals(scene.vertices, scene.polygon_start, scene.corner_vertex)
+    flats, waiting = [], _coplanar_groups(scene, emitting, normal) if len(emitting) <= MOST_MERGED else []
+    while waiting:
+        group = waiting.pop()
+        corner = np.concatenate([np.arange(*scene.polygon_start[p : p + 2]) for p in group])
+        corners = _outline(scene.vertices[scene.corner_vertex[corner]], normal[group[0]], area[group].sum())
+        if corners is not None:
+            power = area[group].sum() * exitance[scene.polygon_material[group[0]]]
+            flats.append((group, corners, float(power)))
+        elif len(group) > 1:
+            # The outline is not convex: each polygon is a source of its own, if it can be one.
+            waiting.extend(group[:, None])
+    return flats
+
+
+def _coplanar_groups(scene, polygons, normal):
+    """Polygons (K,) of one object, material and plane that are joined by vertices, as a list of arrays (k,)."""
+    if not len(polygons):
+        return []
+    size = np.diff(scene.polygon_start)[polygons]
+    owner = np.repeat(np.arange(len(polygons)), size)
+    corner = np.arange(len(owner)) + np.repeat(scene.polygon_start[polygons] - np.cumsum(size) + size, size)
+    place = (scene.vertices[scene.corner_vertex[corner]] - scene.bounds[0]) / max(scene.diagonal, 1e-300)
+    n = normal[polygons]
+    level = np.einsum("kd,kd->k", place[np.cumsum(size) - size], n)
+    alike = np.column_stack([scene.polygon_object[polygons], scene.polygon_material[polygons], n.round(4), level.round(5)])
+    _, alike = np.unique(alike, axis=0, return_inverse=True)
+    _, joint = np.unique(np.column_stack([alike.reshape(-1)[owner], place.round(6)]), axis=0, return_inverse=True)
+    label, joint = np.arange(len(polygons)), joint.reshape(-1)
+    while True:
+        least = np.full(joint.max() + 1, len(polygons))
+        np.minimum.at(least, joint, label[owner])
+        spread = label.copy()
+        np.minimum.at(spread, owner, least[joint])
+        if (spread == label).all():
+            break
+        label = spread
+    order = np.argsort(label, kind="stable")
+    return np.split(polygons[order], np.flatnonzero(np.diff(label[order])) + 1)
+
+
+def _outline(corners, normal, area):
+    """The convex polygon (V, 3) that coplanar polygons with these corners (C, 3) fill, or None if they leave gaps."""
+    frame = np.stack(tangents(normal))
+    flat = np.einsum("kd,ad->ka", corners - corners[0], frame)
+    order = np.lexsort((flat[:, 1], flat[:, 0]))
+    chain = _half_hull(flat, order)[:-1] + _half_hull(flat, order[::-1])[:-1]
+    x, y = flat[chain].T
+    hull = 0.5 * abs((x * np.roll(y, -1) - np.roll(x, -1) * y).sum())
+    warped = np.abs(np.einsum("kd,d->k", corners - corners[0], normal)).max() > 1e-3 * np.sqrt(hull)
+    return None if warped or abs(hull - area) > 1e-3 * hull else corners[chain]
+
+
+def _half_hull(flat, order):
+    """Indices of the lower (or, in reversed order, upper) half of the convex hull of points (C, 2) (Andrew 1979)."""
+    hull = []
+    for k in order:
+        while len(hull) > 1:
+            (ax, ay), (bx, by) = flat[hull[-1]] - flat[hull[-2]], flat[k] - flat[hull[-2]]
+            if ax * by - ay * bx > 1e-9 * (abs(ax) + abs(ay)) * (abs(bx) + abs(by)):
+                break
+            hull.pop()
+        hull.append(k)
+    return hull

@@ -1,0 +1,355 @@
+"""Patches: the pieces of surface between which light is exchanged.
+
+Owns the cutting of polygons into patches, the lookup from a ray's hit to the patch it fell on, and the drawing of
+points on patches. A patch is a polygon or the part of one that lies in a cell of a regular grid over it; its
+elements are the parallelograms and triangles it consists of, most often a single one. The grid is never added to the
+traced geometry: a hit carries its place in its triangle (u, v), and an affine map turns that into a cell. Walls stay
+two triangles for the ray tracer, no T-junctions appear, and patches of another size need no new BVH.
+
+Each patch has two sides with a radiosity of their own: side 2 p is the front of patch p, side 2 p + 1 its back.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .polygons import clip_polygons
+from .scene import newell_normals
+
+FLAT = 0.9995  # least cosine between the triangles of one flat facet
+
+
+@dataclass(frozen=True)
+class Patches:
+    """N patches, as arrays.
+
+    area: (N,) float64 [m^2]. normal: (N, 3) unit. centroid: (N, 3) [m]. polygon: (N,) int32 of the scene.
+    element_start: (N + 1,) int32, patch p owns elements element_start[p] to element_start[p + 1].
+    element_frame: (M, 3, 3) float64 origin and two edges of each element [m]; element_square: (M,) bool, it is the
+    parallelogram over the two edges, not the triangle; element_area: (M,) [m^2].
+    triangle_map: (T, 8) float32 rows (s0, su, sv, t0, tu, tv, -, -): a hit (u, v) lies in column
+    floor(s0 + su u + sv v) and row floor(t0 + tu u + tv v) of its facet's grid.
+    triangle_cell: (T, 3) int32 first cell, columns and rows of that grid. cell_patch: (G,) int32 patch of a cell.
+    """
+
+    area: np.ndarray
+    normal: np.ndarray
+    centroid: np.ndarray
+    polygon: np.ndarray
+    element_start: np.ndarray
+    element_frame: np.ndarray
+    element_square: np.ndarray
+    element_area: np.ndarray
+    triangle_map: np.ndarray
+    triangle_cell: np.ndarray
+    cell_patch: np.ndarray
+
+    def __len__(self):
+        return len(self.area)
+
+
+def make_patches(scene, edge=None):
+    """Cut the scene's usable triangles into Patches with edges of at most about `edge` meters (None: one per polygon)."""
+    triangle, facet = _facets(scene)
+    grid = _lay_grids(scene, triangle, facet, edge)
+    cells = grid.columns * grid.rows
+    first = np.cumsum(cells) - cells
+
+    pieces = [_uncut(scene, triangle, facet, grid), _full_cells(facet, grid), _cut_cells(scene, triangle, facet, grid)]
+    cell = np.concatenate([first[p.facet] + p.cell for p in pieces])
+    frame = np.concatenate([p.frame for p in pieces])
+    square = np.concatenate([p.square for p in pieces])
+
+    # The cells that hold an element are the patches, in order.
+    order = np.argsort(cell, kind="stable")
+    cell, frame, square = cell[order], frame[order], square[order]
+    held, start = np.unique(cell, return_index=True)
+    start = np.append(start, len(cell)).astype(np.int32)
+
+    normal = np.cross(frame[:, 1], frame[:, 2])
+    element_area = np.sqrt((normal * normal).sum(axis=1)) * np.where(square, 1.0, 0.5)
+    normal = _sums(normal * np.where(square, 1.0, 0.5)[:, None], start)
+    middle = frame[:, 0] + (frame[:, 1] + frame[:, 2]) * np.where(square, 0.5, 1 / 3)[:, None]
+    area = _sums(element_area, start)
+    facet_polygon = scene.triangle_polygon[triangle[grid.leading]]
+    return Patches(
+        area=area,
+        normal=normal / np.sqrt((normal * normal).sum(axis=1, keepdims=True)),
+        centroid=_sums(middle * element_area[:, None], start) / area[:, None],
+        polygon=facet_polygon[np.searchsorted(first, held, side="right") - 1],
+        element_start=start,
+        element_frame=frame,
+        element_square=square,
+        element_area=element_area,
+        triangle_map=_triangle_maps(len(scene.triangles), triangle, grid.place),
+        triangle_cell=_triangle_cells(len(scene.triangles), triangle, first[facet], grid, facet),
+        cell_patch=_patch_of_cells(held, first, int(cells.sum())),
+    )
+
+
+def patch_of_hit(patches, triangle, u, v):
+    """(K,) int32 patch on which the hits (triangle, u, v) of K rays fell."""
+    m = np.take(patches.triangle_map, triangle, axis=0)
+    cell = np.take(patches.triangle_cell, triangle, axis=0)
+    column = (m[:, 0] + m[:, 1] * u + m[:, 2] * v).astype(np.int32)
+    row = (m[:, 3] + m[:, 4] * u + m[:, 5] * v).astype(np.int32)
+    # Rounding can carry a hit over the rim of the grid: clamp rather than trust the last bit.
+    np.clip(column, 0, cell[:, 1] - 1, out=column)
+    np.clip(row, 0, cell[:, 2] - 1, out=row)
+    return np.take(patches.cell_patch, cell[:, 0] + row * cell[:, 1] + column)
+
+
+def draw_on_patches(patches, ids, a, b):
+    """Points drawn evenly by area on patches: (K, n, 3) float64. ids: (K,) patches; a, b: (K, n) in [0, 1)."""
+    element = np.broadcast_to(patches.element_start[ids, None], a.shape)
+    last = patches.element_start[ids + 1][:, None] - 1
+    if (element[:, :1] < last).any():
+        # Walk along the patch's elements until the share a of its area is reached.
+        element, target = element.copy(), a * patches.area[ids, None]
+        while True:
+            area = patches.element_area[element]
+            further = (target >= area) & (element < last)
+            if not further.any():
+                break
+            target -= np.where(further, area, 0.0)
+            element += further
+        a = np.clip(target / area, 0.0, 1.0)
+    fold = ~patches.element_square[element] & (a + b > 1.0)
+    frame = patches.element_frame[element]
+    a, b = np.where(fold, 1.0 - a, a)[..., None], np.where(fold, 1.0 - b, b)[..., None]
+    return frame[..., 0, :] + a * frame[..., 1, :] + b * frame[..., 2, :]
+
+
+def _facets(scene):
+    """The flat parts of polygons: usable triangles (K,) in order of facet, and the facet (K,) of each, 0, 1, ...
+
+    A planar polygon is one facet; a warped one is a facet per triangle, so that no grid is laid across a fold.
+    """
+    triangle = np.flatnonzero(scene.usable)
+    polygon = scene.triangle_polygon[triangle]
+    normal = scene.triangle_normal_area[0][triangle]
+    whole = newell_normals(scene.vertices, scene.polygon_start, scene.corner_vertex)[polygon]
+    bent = np.zeros(len(scene.polygon_material), bool)
+    bent[polygon[(normal * whole).sum(axis=1) < FLAT]] = True
+    key = np.where(bent[polygon], len(bent) + np.arange(len(triangle)), polygon)
+    order = np.argsort(key, kind="stable")
+    return triangle[order], np.cumsum(_changes(key[order])) - 1
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """A grid of cells over each of F facets of K triangles.
+
+    place: (K, 3, 2) corners of the triangles in units of cells. columns, rows: (F,). leading: (K,) bool, the first
+    triangle of each facet. frame: (F, 3, 3) world position of the grid's corner and the edges of a cell.
+    """
+
+    place: np.ndarray
+    columns: np.ndarray
+    rows: np.ndarray
+    leading: np.ndarray
+    frame: np.ndarray
+
+
+def _lay_grids(scene, triangle, facet, edge):
+    """Grids along the facets' longest edges, with cells of at most `edge`."""
+    leading = _changes(facet)
+    count = int(leading.sum())
+    place = np.full((len(triangle), 3, 2), 0.5)
+    columns, rows, frame = np.ones(count, np.int64), np.ones(count, np.int64), np.zeros((count, 3, 3))
+    grid = _Grid(place, columns, rows, leading, frame)
+    if edge is None or not count:
+        return grid
+    corners = scene.vertices[scene.triangles[triangle]]
+    low, high = _extent(corners, leading)
+    large = np.sqrt(((high - low) ** 2).sum(axis=1)) > edge
+    part = np.flatnonzero(large[facet])
+    if not len(part):
+        return grid
+
+    # Renumber the large facets 0, 1, ... and work on them alone.
+    owner, leading, corners = (np.cumsum(large) - 1)[facet[part]], leading[part], corners[part]
+    along = _longest_edges(corners, owner)
+    across = np.cross(scene.triangle_normal_area[0][triangle[part]][leading], along)
+    origin = low[large]
+    local = corners - origin[owner, None]
+    flat = np.stack([(local * axis[owner, None]).sum(axis=-1) for axis in (along, across)], axis=-1)
+    least, most = _extent(flat, leading)
+    span = np.maximum(most - least, 1e-300)
+    cells = np.maximum(np.ceil(span / edge - 1e-6), 1)
+    place[part] = (flat - least[owner, None]) * (cells / span)[owner, None]
+    columns[large], rows[large] = cells.astype(np.int64).T
+    # The plane's own height above the origin, taken at the facet's first corner.
+    height = local[leading][:, 0] - flat[leading][:, 0, :1] * along - flat[leading][:, 0, 1:] * across
+    frame[large, 0] = origin + height + least[:, :1] * along + least[:, 1:] * across
+    frame[large, 1], frame[large, 2] = along * (span / cells)[:, :1], across * (span / cells)[:, 1:]
+    return grid
+
+
+def _changes(key):
+    """(K,) bool: where a sorted key (K,) has a new value."""
+    return np.append(True, key[1:] != key[:-1]) if len(key) else np.zeros(0, bool)
+
+
+def _extent(points, leading):
+    """Lowest and highest coordinates (F, D) of triangles' corners (K, 3, D), over runs that begin where `leading`."""
+    start = np.flatnonzero(leading)
+    return np.minimum.reduceat(points.min(axis=1), start), np.maximum.reduceat(points.max(axis=1), start)
+
+
+def _longest_edges(corners, owner):
+    """(F, 3) unit direction of each owner's longest edge; an edge between two of its own triangles does not count."""
+    following = np.roll(corners, -1, axis=1)
+    edge = (following - corners).reshape(-1, 3)
+    middle = ((following + corners) / 2).reshape(-1, 3)
+    owner = np.repeat(owner, 3)
+    order = np.lexsort((middle[:, 2], middle[:, 1], middle[:, 0], owner))
+    same = (owner[order][1:] == owner[order][:-1]) & (middle[order][1:] == middle[order][:-1]).all(axis=1)
+    inner = np.zeros(len(owner), bool)
+    inner[order[1:][same]] = inner[order[:-1][same]] = True
+    length = np.sqrt((edge * edge).sum(axis=1))
+    best = np.lexsort((np.where(inner, 0.0, -length), owner))
+    best = best[_changes(owner[best])]
+    return edge[best] / length[best, None]
+
+
+@dataclass(frozen=True)
+class _Pieces:
+    """E elements: the facet (E,) and the cell (E,) in it that each belongs to, frame (E, 3, 3) and square (E,)."""
+
+    facet: np.ndarray
+    cell: np.ndarray
+    frame: np.ndarray
+    square: np.ndarray
+
+
+def _uncut(scene, triangle, facet, grid):
+    """The elements of facets that are one cell: a parallelogram for a quad that is one, else a triangle each."""
+    mine = (grid.columns * grid.rows)[facet] == 1
+    triangle, facet, leading = triangle[mine], facet[mine], grid.leading[mine]
+    a, b, c = np.moveaxis(scene.vertices[scene.triangles[triangle]], 1, 0)
+    frame, square = np.stack([a, b - a, c - a], axis=1), np.zeros(len(triangle), bool)
+
+    # Two triangles of a quad: they fill a parallelogram if the quad's corners do.
+    polygon = scene.triangle_polygon[triangle]
+    pair = np.flatnonzero(leading[:-1] & ~leading[1:] & (np.diff(scene.polygon_start)[polygon[:-1]] == 4))
+    p0, p1, p2, p3 = (scene.vertices[scene.corner_vertex[scene.polygon_start[polygon[pair]] + k]] for k in range(4))
+    gap = np.abs(p0 - p1 + p2 - p3).max(axis=1, initial=0) <= 1e-6 * np.abs(p2 - p0).max(axis=1, initial=0)
+    pair = pair[gap]
+    frame[pair], square[pair] = np.stack([p0, p1 - p0, p3 - p0], axis=1)[gap], True
+    kept = np.ones(len(triangle), bool)
+    kept[pair + 1] = False
+    return _Pieces(facet[kept], np.zeros(kept.sum(), np.int64), frame[kept], square[kept])
+
+
+def _filled(facet, grid):
+    """(F,) bool: facets that fill their grid to the rim, as the rectangles of walls and floors do."""
+    a, b = grid.place[:, 1] - grid.place[:, 0], grid.place[:, 2] - grid.place[:, 0]
+    area = np.bincount(facet, np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2, len(grid.rows))
+    return area >= grid.columns * grid.rows * (1 - 1e-6)
+
+
+def _full_cells(facet, grid):
+    """The cells of facets that fill their grid, a parallelogram each."""
+    count = np.where((grid.columns * grid.rows > 1) & _filled(facet, grid), grid.columns * grid.rows, 0)
+    owner, cell = _counted(count)
+    return _Pieces(owner, cell, _cell_frames(grid, owner, cell), np.ones(len(owner), bool))
+
+
+def _cell_frames(grid, facet, cell):
+    """(E, 3, 3) frames of cells of facets."""
+    row, column = np.divmod(cell, grid.columns[facet])
+    frame = grid.frame[facet].copy()
+    frame[:, 0] += column[:, None] * frame[:, 1] + row[:, None] * frame[:, 2]
+    return frame
+
+
+def _cut_cells(scene, triangle, facet, grid):
+    """The elements of the other facets: their triangles, cut at the lines of the grid."""
+    mine = ((grid.columns * grid.rows > 1) & ~_filled(facet, grid))[facet]
+    triangle, facet, place = triangle[mine], facet[mine], grid.place[mine]
+    low = np.maximum(np.floor(place.min(axis=1) + 1e-6), 0).astype(np.int64)
+    span = np.maximum(np.ceil(place.max(axis=1) - 1e-6).astype(np.int64) - low, 1)
+    source, step = _counted(span[:, 0] * span[:, 1])
+    column = low[source, 0] + step % span[source, 0]
+    row = low[source, 1] + step // span[source, 0]
+
+    # Signed distance of each cell's corners from the triangle's edges, positive inside; cells outside are dropped.
+    edge = np.roll(place, -1, axis=1) - place
+    turn = np.sign(edge[:, 0, 0] * edge[:, 1, 1] - edge[:, 0, 1] * edge[:, 1, 0])[:, None, None]
+    inward = np.stack([-edge[..., 1], edge[..., 0]], axis=-1) * turn
+    inward /= np.maximum(np.sqrt((inward**2).sum(axis=-1, keepdims=True)), 1e-300)
+    offset = (place * inward).sum(axis=-1)
+    corner = np.stack([column, row], axis=1)[:, None] + np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
+    inside = np.einsum("kvd,ked->kve", corner, inward[source]) - offset[source, None]
+    held = (inside.max(axis=1) > 1e-6).all(axis=1)
+    full = (inside.min(axis=1) >= -1e-6).all(axis=1)
+    cell = row * grid.columns[facet[source]] + column
+
+    # Cells on the triangle's rim are clipped at its edges and taken as fans of triangles, the others as they are.
+    rim = np.flatnonzero(held & ~full)
+    polygon, sides = corner[rim], np.full(len(rim), 4)
+    for k in range(3):
+        value = np.einsum("kvd,kd->kv", polygon, inward[source[rim], k]) - offset[source[rim], k, None]
+        polygon, sides = clip_polygons(polygon, sides, value)
+    which, step = _counted(np.maximum(sides - 2, 0))
+    fan = np.stack([polygon[which, 0], polygon[which, step + 1], polygon[which, step + 2]], axis=1)
+    owner = source[rim][which]
+    frame = _to_world(scene.vertices[scene.triangles[triangle[owner]]], place[owner], fan)
+    e1, e2 = fan[:, 1] - fan[:, 0], fan[:, 2] - fan[:, 0]
+    solid = np.abs(e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0]) > 1e-9
+    owner, which, frame = owner[solid], which[solid], frame[solid]
+    return _Pieces(
+        np.concatenate([facet[source[full]], facet[owner]]),
+        np.concatenate([cell[full], cell[rim][which]]),
+        np.concatenate([_cell_frames(grid, facet[source[full]], cell[full]), frame]),
+        np.append(np.ones(full.sum(), bool), np.zeros(len(owner), bool)),
+    )
+
+
+def _to_world(corners, place, fan):
+    """(E, 3, 3) frames of triangles `fan` (E, 3, 2), given in the plane where `corners` (E, 3, 3) lie at `place`."""
+    a, b, local = place[:, 1] - place[:, 0], place[:, 2] - place[:, 0], fan - place[:, :1]
+    det = (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])[:, None]
+    u = (local[..., 0] * b[:, 1:] - local[..., 1] * b[:, :1]) / det
+    v = (local[..., 1] * a[:, :1] - local[..., 0] * a[:, 1:]) / det
+    e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    world = corners[:, :1] + u[..., None] * e1[:, None] + v[..., None] * e2[:, None]
+    return np.stack([world[:, 0], world[:, 1] - world[:, 0], world[:, 2] - world[:, 0]], axis=1)
+
+
+def _counted(count):
+    """For counts (K,): the owner of each of sum(count) items, and its number 0, 1, ... among its owner's."""
+    owner = np.repeat(np.arange(len(count)), count)
+    return owner, np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
+
+
+def _triangle_maps(count, triangle, place):
+    """(T, 8) affine maps from a triangle's (u, v) to its place in the grid."""
+    maps = np.zeros((count, 8), np.float32)
+    for axis in range(2):
+        p0, p1, p2 = place[:, 0, axis], place[:, 1, axis], place[:, 2, axis]
+        maps[triangle, 3 * axis : 3 * axis + 3] = np.stack([p0, p1 - p0, p2 - p0], axis=1)
+    return maps
+
+
+def _triangle_cells(count, triangle, first, grid, facet):
+    """(T, 3) first cell, columns and rows of each triangle's grid."""
+    cells = np.zeros((count, 3), np.int32)
+    cells[triangle] = np.stack([first, grid.columns[facet], grid.rows[facet]], axis=1)
+    return cells
+
+
+def _patch_of_cells(held, first, count):
+    """(G,) patch of each cell. A cell that holds nothing (a hit can round into it) gets the nearest patch before it
+    in its grid, or the first one of the grid."""
+    patch = np.searchsorted(held, np.arange(count), side="right") - 1
+    grid = np.searchsorted(first, np.arange(count), side="right") - 1
+    return np.maximum(patch, np.searchsorted(held, first)[grid]).astype(np.int32)
+
+
+def _sums(values, start):
+    """Sums of values (M, ...) over the runs that begin at start (N + 1,)."""
+    return np.add.reduceat(values, start[:-1], axis=0) if len(start) > 1 else np.zeros((0, *values.shape[1:]))

@@ -1,0 +1,122 @@
+"""The report of a bake: one JSON document that other programs read.
+
+Owns its schema. A figure that does not exist is null; a number is never NaN.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+
+_NUMBER = {"type": ["number", "null"]}
+_COUNT = {"type": ["integer", "null"]}
+_TEXT = {"type": ["string", "null"]}
+_FLAG = {"type": ["boolean", "null"]}
+
+
+def _record(**fields):
+    return {"type": "object", "properties": fields, "required": list(fields), "additionalProperties": False}
+
+
+def _list(item):
+    return {"type": "array", "items": item}
+
+
+SCHEMA = {
+    "$schema": "https://json-schema.org/draft/2020-12/schema",
+    "title": "Report of a Cell Radiosity bake",
+    **_record(
+        scene={"type": "string"},
+        version={"type": "string"},
+        cells=_COUNT,
+        seed=_COUNT,
+        effects=_list(_record(name={"type": "string"}, needed={"type": "boolean"}, reason={"type": "string"}, seconds=_NUMBER)),
+        ignored=_list(_record(object={"type": "string"}, reason={"type": "string"})),
+        health=_list(_record(object={"type": "string"}, finding={"type": "string"}, action={"type": "string"})),
+        patches=_COUNT,
+        output_points=_COUNT,
+        rays=_COUNT,
+        peak_memory_mb=_NUMBER,
+        memory=_record(host_mb=_NUMBER, cells_mb=_list(_NUMBER)),
+        cells_restarted=_COUNT,
+        converged=_FLAG,
+        seconds=_record(
+            **{k: _NUMBER for k in ("start", "read", "survey", "patches", "transport", "gather", "write", "total", "cpu", "embree_cpu")}
+        ),
+        transport=_record(
+            rounds=_COUNT, shots=_COUNT, schedule=_TEXT,
+            curve=_list(_record(seconds=_NUMBER, unshot=_NUMBER, bound=_NUMBER)), converged=_FLAG,
+        ),
+        error=_record(
+            requested=_NUMBER, estimated=_NUMBER, interior=_NUMBER, sampling=_NUMBER, patches=_NUMBER, solve=_NUMBER,
+            floor=_FLAG, worst={"anyOf": [{"type": "null"}, _record(object={"type": "string"}, error=_NUMBER)]},
+        ),
+        energy=_record(**{k: _NUMBER for k in ("emitted_w", "absorbed_w", "escaped_w", "unshot_w", "direct_check")}),
+        price=_list(
+            _record(**{k: _NUMBER for k in ("error", "seconds_predicted", "seconds_measured", "error_measured", "memory_mb")})
+        ),
+        layers=_list({"type": "string"}),
+        objects=_list(_record(name={"type": "string"}, points=_COUNT, domain=_TEXT, error=_NUMBER)),
+    ),
+}  # fmt: skip
+
+
+def make_report(bake, *, scene, version, layers, domain, start, read, write):
+    """The report (a dictionary that fits SCHEMA) of a Bake. scene: its file; start, read, write: seconds."""
+    solution, seconds, cells = bake.solution, bake.seconds, bake.cells
+    phases = {k: seconds.get(k) for k in ("survey", "patches", "transport", "gather")}
+    counts = _points_by_object(bake)
+    return {
+        "scene": scene,
+        "version": version,
+        "cells": cells["count"],
+        "seed": bake.settings.seed,
+        "effects": [dict(name=e.name, needed=e.needed, reason=e.reason, seconds=e.seconds) for e in bake.survey.effects],
+        "ignored": [dict(object=o, reason=r) for o, r in bake.survey.ignored],
+        "health": [dict(object=f.object, finding=f.finding, action=f.action) for f in bake.survey.health],
+        "patches": len(bake.patches),
+        "output_points": len(bake.points),
+        "rays": bake.rays,
+        "peak_memory_mb": cells["host_mb"] + sum(cells["cells_mb"]),
+        "memory": {"host_mb": cells["host_mb"], "cells_mb": cells["cells_mb"]},
+        "cells_restarted": cells["restarted"],
+        "converged": solution.converged,
+        "seconds": {
+            "start": start, "read": read, **phases, "write": write,
+            "total": start + read + write + sum(v for v in phases.values() if v),
+            "cpu": seconds["cpu"], "embree_cpu": seconds["embree_cpu"],
+        },
+        "transport": {
+            "rounds": len(solution.rounds),
+            "shots": solution.rounds[-1].rows if solution.rounds else 0,
+            "schedule": "dynamic",
+            "curve": [dict(seconds=r.seconds, unshot=r.unshot, bound=r.bound) for r in solution.rounds],
+            "converged": solution.converged,
+        },
+        "error": {
+            "requested": bake.settings.error, "estimated": None, "interior": None, "sampling": None, "patches": None,
+            "solve": solution.bound, "floor": None, "worst": None,
+        },
+        "energy": {**solution.energy, "direct_check": None},
+        "price": [],
+        "layers": list(layers),
+        "objects": [dict(name=n, points=c, domain=domain, error=None) for n, c in counts],
+    }  # fmt: skip
+
+
+def write_json(report, path):
+    """Write a report to a file, whole or not at all."""
+    folder = os.path.dirname(os.path.abspath(path))
+    with tempfile.NamedTemporaryFile("w", dir=folder, suffix=".tmp", delete=False, encoding="utf-8") as file:
+        json.dump(report, file, indent=1, allow_nan=False)
+        file.write("\n")
+    os.replace(file.name, path)
+
+
+def _points_by_object(bake):
+    """(name, points) of each written object."""
+    count = [0] * len(bake.scene.objects)
+    for o in bake.points.object.tolist():
+        count[o] += 1
+    return [(name, n) for name, n, w in zip(bake.scene.objects, count, bake.scene.written) if w]

@@ -1,0 +1,65 @@
+"""Form-factor rows: where the light that leaves a patch side arrives.
+
+Owns the two estimators of a row, and the direct light of patch sides. `rays`: n cosine-distributed rays from points
+over the patch; a row is its n hits, its entries sum to exactly 1 with what escaped.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .kernel import BLOCK
+from .lights import patch_irradiance
+from .patches import draw_on_patches
+from .sampling import hemisphere, lattice4, scatter, tangents
+
+ROW, DIRECT = 1, 2  # salts: the samples of rows and of direct light have nothing in common
+
+
+def trace_rows(kernel, sides, rays, seed):
+    """{"hits": (K, rays) int32} sides met by rays from patch sides (K,), -1 where a ray escaped."""
+    hits = np.empty((len(sides), rays), np.int32)
+    for part in blocks(len(sides), rays):
+        position, normal, direction = _row_rays(kernel, sides[part], rays, seed)
+        side, _, _ = kernel.sides_hit(kernel.caster.start(position, normal[:, None]).reshape(-1, 3), direction)
+        hits[part] = side.reshape(-1, rays)
+    return {"hits": hits}
+
+
+def light_patches(kernel, sides, samples, seed):
+    """{"direct": (K, 3)} mean irradiance [W/m^2] that the sources give patch sides (K,), from `samples` places each."""
+    direct = np.empty((len(sides), 3))
+    for part in blocks(len(sides), samples):
+        a, b, *place = _shifted(sides[part], samples, seed, DIRECT)
+        position, normal = _places(kernel, sides[part], *place)
+        direct[part] = patch_irradiance(kernel.sources, kernel.caster, position, normal, a, b)
+    return {"direct": direct}
+
+
+def blocks(count, each):
+    """Slices that cut `count` items of `each` rays into blocks."""
+    size = max(BLOCK // max(each, 1), 1)
+    return [slice(k, min(k + size, count)) for k in range(0, count, size)]
+
+
+def _row_rays(kernel, sides, rays, seed):
+    """Positions (K, rays, 3) and normals (K, 3), and world directions (K * rays, 3) float32, of the rays of rows."""
+    u, v, a, b = _shifted(sides, rays, seed, ROW)
+    position, normal = _places(kernel, sides, a, b)
+    local = hemisphere(u, v).astype(np.float32)
+    frame = np.stack([*tangents(normal), normal], axis=1).astype(np.float32)
+    direction = np.stack([sum(frame[:, k, d, None] * local[..., k] for k in range(3)).reshape(-1) for d in range(3)])
+    return position, normal, direction.T
+
+
+def _shifted(sides, count, seed, salt):
+    """(4, K, count) lattice points in the unit 4-cube, shifted for each side."""
+    keys = np.asarray(sides, np.int64)[:, None] * 4 + np.arange(4)
+    shift = scatter(keys, salt + 8 * seed)
+    return (lattice4(count)[:, None, :] + shift.T[:, :, None]) % 1.0
+
+
+def _places(kernel, sides, a, b):
+    """Positions (K, n, 3) of places on patch sides, given by a, b (K, n), and the sides' normals (K, 3)."""
+    normal = kernel.patches.normal[sides >> 1]
+    return draw_on_patches(kernel.patches, sides >> 1, a, b), np.where((sides & 1)[:, None] == 1, -normal, normal)

@@ -1,0 +1,68 @@
+"""Sample points: low-discrepancy lattices, and shifts that set the points' lattices against one another.
+
+Everything here is a pure function of ids and a seed, computed in float64 with operations that give the same bits on
+every build of numpy. No state, no random generator: a sample can be drawn again anywhere, in any order.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+GOLDEN = 0.6180339887498949  # 1 / golden ratio: the best step of a one-dimensional lattice
+R2 = (0.7548776662466927, 0.5698402909980532)  # the same for two dimensions: 1/g and 1/g^2, g^3 = g + 1
+
+
+def lattice(n):
+    """The golden-ratio lattice of n points in the unit square: u (n,) = (i + 1/2) / n, v (n,) = frac((i + 1/2) golden)."""
+    i = np.arange(n) + 0.5
+    return i / n, (i * GOLDEN) % 1.0
+
+
+def lattice4(n):
+    """n points in the unit 4-cube, (4, n): the golden-ratio lattice for the first two axes, the R2 sequence for the others."""
+    u, v = lattice(n)
+    i = np.arange(n) + 0.5
+    return np.stack([u, v, (i * R2[0]) % 1.0, (i * R2[1]) % 1.0])
+
+
+def scatter(keys, salt):
+    """Numbers in [0, 1) that look unrelated for neighboring keys: float64, shape of keys (integers). salt: int.
+
+    The mixing steps are those of the SplitMix64 generator (Steele, Lea, Flood 2014).
+    """
+    z = np.asarray(keys).astype(np.uint64) + np.uint64((0x9E3779B97F4A7C15 * (salt + 1)) & (2**64 - 1))
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    z = z ^ (z >> np.uint64(31))
+    return (z >> np.uint64(11)).astype(np.float64) * 2.0**-53
+
+
+def hemisphere(u, v):
+    """Cosine-distributed directions about +z, (..., 3) float64, of u, v in [0, 1) (Malley's method)."""
+    radius, angle = np.sqrt(u), 2.0 * np.pi * v
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1.0 - u)], axis=-1)
+
+
+def tangents(normals):
+    """Two unit vectors (..., 3) that make a right-handed frame with unit normals (..., 3) (Duff et al. 2017)."""
+    x, y, z = np.moveaxis(normals, -1, 0)
+    sign = np.where(z >= 0, 1.0, -1.0)
+    a = -1.0 / (sign + z)
+    b = x * y * a
+    return (
+        np.stack([1.0 + sign * x * x * a, sign * b, -sign * x], axis=-1),
+        np.stack([b, sign + y * y * a, -y], axis=-1),
+    )
+
+
+def morton_order(points):
+    """(N,) order of points (N, 3) along a Morton curve through their bounding box (ties by index)."""
+    if not len(points):
+        return np.zeros(0, np.int64)
+    low, high = points.min(axis=0), points.max(axis=0)
+    size = np.maximum((high - low).max(), 1e-300)
+    cell = np.clip((points - low) / size * 1024.0, 0, 1023).astype(np.uint64)
+    for shift, mask in ((16, 0x30000FF), (8, 0x300F00F), (4, 0x30C30C3), (2, 0x9249249)):
+        cell = (cell | (cell << np.uint64(shift))) & np.uint64(mask)
+    code = cell[:, 0] | (cell[:, 1] << np.uint64(1)) | (cell[:, 2] << np.uint64(2))
+    return np.argsort(code, kind="stable")

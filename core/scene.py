@@ -1,0 +1,242 @@
+"""The scene as plain arrays: what every later step reads and none of them changes.
+
+Owns the records `Material`, `Lamp`, `World`, `Mesh` and `Scene`, the joining of meshes into one scene, and the few
+geometric facts (triangle normals and areas, extent) that everything else needs. World space, float64, meters;
+light in W/m^2 (exitance), W/sr (intensity) and W/(m^2 sr) (radiance), linear RGB on the last axis.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+BLACK = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Material:
+    """What a surface does with light, the same on both of its sides.
+
+    reflectance, translucency: (3,) share of the irradiance sent back and sent through, diffusely [-].
+    exitance: (3,) emitted light, leaving both sides [W/m^2]; Blender's emission strength times pi.
+    """
+
+    name: str = "default"
+    reflectance: tuple = (0.8, 0.8, 0.8)
+    exitance: tuple = BLACK
+    translucency: tuple = BLACK
+
+
+@dataclass(frozen=True)
+class Lamp:
+    """A light that is no surface: it never blocks a ray.
+
+    kind: "point", "spot", "sun" or "area".
+    strength: (3,) what the kind radiates: intensity of a point or spot [W/sr], irradiance of a facing surface under
+        a sun [W/m^2], radiance of an area lamp [W/(m^2 sr)].
+    position: (3,) meters. axes: (3, 3) rows are the lamp's own x, y and z axes as unit vectors; it shines along -z.
+    radius: of a point or spot [m]. soft: Blender's soft falloff (the sphere is a disk that faces the receiver).
+    angle: full angle of a sun's disk or of a spot's cone [rad]. blend: soft part of a spot's cone [0..1].
+    size: (2,) of an area lamp along its x and y axes [m]. ellipse: an area lamp is an ellipse, not a rectangle.
+    """
+
+    kind: str
+    strength: tuple
+    position: tuple = (0.0, 0.0, 0.0)
+    axes: tuple = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    name: str = "lamp"
+    radius: float = 0.0
+    soft: bool = True
+    angle: float = 0.0
+    blend: float = 0.0
+    size: tuple = (1.0, 1.0)
+    ellipse: bool = False
+
+
+@dataclass(frozen=True)
+class World:
+    """Light from outside the scene. radiance: (3,) of every direction [W/(m^2 sr)]."""
+
+    radiance: tuple = BLACK
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """One object as it is rendered, in world space.
+
+    vertices: (V, 3) float64. polygon_start: (P + 1,) int, polygon p owns corners polygon_start[p] to
+    polygon_start[p + 1]. corner_vertex: (C,) int. corner_normal: (C, 3) shading normals, None for flat shading.
+    triangle_corner: (T, 3) int corners of the triangles that fill the polygons, None for a fan of each polygon
+    (right for convex polygons). triangle_polygon: (T,) int. polygon_material: (P,) int into the scene's materials.
+    """
+
+    name: str
+    vertices: np.ndarray
+    polygon_start: np.ndarray
+    corner_vertex: np.ndarray
+    polygon_material: np.ndarray
+    corner_normal: np.ndarray | None = None
+    triangle_corner: np.ndarray | None = None
+    triangle_polygon: np.ndarray | None = None
+
+    @classmethod
+    def of_polygons(cls, name, vertices, polygons, material=0, **fields):
+        """A mesh of a list of polygons, each a list of vertex indices."""
+        sizes = [len(p) for p in polygons]
+        return cls(
+            name,
+            np.asarray(vertices, float).reshape(-1, 3),
+            np.concatenate([[0], np.cumsum(sizes)]).astype(np.int32),
+            np.concatenate(polygons).astype(np.int32) if polygons else np.zeros(0, np.int32),
+            np.broadcast_to(np.asarray(material, np.int32), len(polygons)).copy(),
+            **fields,
+        )
+
+
+@dataclass(frozen=True)
+class Scene:
+    """All meshes joined into one set of arrays, with materials, lamps and world.
+
+    objects: (O,) names. The arrays are `Mesh`'s, one object after the other, indices counted through the whole scene;
+    polygon_object: (P,) int. corner_normal is always given here. written: (O,) bool, objects whose light is asked for.
+    health: findings, and ignored: (object, reason) pairs, of whoever read the scene.
+    """
+
+    objects: tuple
+    vertices: np.ndarray
+    polygon_start: np.ndarray
+    polygon_object: np.ndarray
+    polygon_material: np.ndarray
+    corner_vertex: np.ndarray
+    corner_normal: np.ndarray
+    triangle_corner: np.ndarray
+    triangle_polygon: np.ndarray
+    materials: tuple = (Material(),)
+    lamps: tuple = ()
+    world: World = World()
+    written: np.ndarray | None = None
+    health: tuple = ()
+    ignored: tuple = ()
+    name: str = "scene"
+
+    @cached_property
+    def triangles(self):
+        """(T, 3) int32 vertex indices of the triangles."""
+        return self.corner_vertex[self.triangle_corner].astype(np.int32)
+
+    @cached_property
+    def triangle_normal_area(self):
+        """Unit normals (T, 3) and areas (T,) of the triangles; a degenerate triangle has area 0 and normal 0."""
+        a, b, c = np.moveaxis(self.vertices[self.triangles], 1, 0)
+        return normal_and_area(a, b, c)
+
+    @cached_property
+    def usable(self):
+        """(T,) bool: triangles with finite vertices and an area, the ones that take part."""
+        finite = np.isfinite(self.vertices).all(axis=1)[self.triangles].all(axis=1)
+        with np.errstate(invalid="ignore", over="ignore"):
+            return finite & (self.triangle_normal_area[1] > 0)
+
+    @cached_property
+    def bounds(self):
+        """Lowest and highest corner of the usable geometry, (2, 3); zeros if there is none."""
+        used = self.vertices[np.unique(self.triangles[self.usable])]
+        return np.stack([used.min(axis=0), used.max(axis=0)]) if len(used) else np.zeros((2, 3))
+
+    @property
+    def diagonal(self):
+        """Length of the bounding box's diagonal [m]."""
+        low, high = self.bounds
+        return float(np.sqrt(((high - low) ** 2).sum()))
+
+
+def normal_and_area(a, b, c):
+    """Unit normals (..., 3) and areas (...) of triangles with corners a, b, c; normal 0 where the area is 0."""
+    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
+        n = np.cross(b - a, c - a)
+        length = np.sqrt((n * n).sum(axis=-1))
+        return np.where(length[..., None] > 0, n / length[..., None], 0.0), length / 2
+
+
+def fan_triangles(polygon_start):
+    """Triangles that fill convex polygons: corners (T, 3) and polygon (T,), each polygon as a fan from its first corner."""
+    size = np.diff(polygon_start)
+    count = np.maximum(size - 2, 0)
+    polygon = np.repeat(np.arange(len(size)), count)
+    first = polygon_start[:-1][polygon]
+    step = np.arange(len(polygon)) - np.repeat(np.cumsum(count) - count, count)
+    return np.stack([first, first + step + 1, first + step + 2], axis=1), polygon
+
+
+def join_meshes(meshes, materials=(Material(),), lamps=(), world=World(), written=None, name="scene", **notes):
+    """One scene of many meshes. written: (O,) bool, objects whose light is asked for (None: all); notes: see Scene.
+
+    Raises ValueError naming the mesh whose material index is outside `materials`.
+    """
+    meshes = tuple(meshes)
+    vertex0 = corner0 = polygon0 = 0
+    parts = {k: [] for k in ("v", "ps", "po", "pm", "cv", "cn", "tc", "tp")}
+    for index, mesh in enumerate(meshes):
+        material = np.asarray(mesh.polygon_material, np.int32)
+        if len(material) and not (0 <= material.min() and material.max() < len(materials)):
+            raise ValueError(f"{mesh.name}: material index {material.max()} of {len(materials)} materials")
+        corners, polygons = mesh.triangle_corner, mesh.triangle_polygon
+        if corners is None:
+            corners, polygons = fan_triangles(mesh.polygon_start)
+        parts["v"].append(np.asarray(mesh.vertices, float))
+        parts["ps"].append(np.asarray(mesh.polygon_start[:-1]) + corner0)
+        parts["po"].append(np.full(len(material), index, np.int32))
+        parts["pm"].append(material)
+        parts["cv"].append(np.asarray(mesh.corner_vertex) + vertex0)
+        parts["cn"].append(flat_normals(mesh) if mesh.corner_normal is None else np.asarray(mesh.corner_normal, float))
+        parts["tc"].append(np.asarray(corners).reshape(-1, 3) + corner0)
+        parts["tp"].append(np.asarray(polygons) + polygon0)
+        vertex0 += len(mesh.vertices)
+        corner0 += len(mesh.corner_vertex)
+        polygon0 += len(material)
+
+    def joined(key, dtype, shape=(0,)):
+        return np.concatenate(parts[key]).astype(dtype) if parts[key] else np.zeros(shape, dtype)
+
+    return Scene(
+        objects=tuple(m.name for m in meshes),
+        vertices=joined("v", float, (0, 3)),
+        polygon_start=np.append(joined("ps", np.int32), corner0).astype(np.int32),
+        polygon_object=joined("po", np.int32),
+        polygon_material=joined("pm", np.int32),
+        corner_vertex=joined("cv", np.int32),
+        corner_normal=joined("cn", float, (0, 3)),
+        triangle_corner=joined("tc", np.int32, (0, 3)),
+        triangle_polygon=joined("tp", np.int32),
+        materials=tuple(materials),
+        lamps=tuple(lamps),
+        world=world,
+        written=np.ones(len(meshes), bool) if written is None else np.asarray(written, bool),
+        name=name,
+        **notes,
+    )
+
+
+def flat_normals(mesh):
+    """(C, 3) normal of its own polygon at every corner (Newell's sum over the polygon's edges)."""
+    normal = newell_normals(mesh.vertices, mesh.polygon_start, mesh.corner_vertex)
+    return np.repeat(normal, np.diff(mesh.polygon_start), axis=0)
+
+
+def newell_normals(vertices, polygon_start, corner_vertex):
+    """(P, 3) unit normals of polygons of any shape; 0 where a polygon has no area."""
+    size = np.diff(polygon_start)
+    if not len(size):
+        return np.zeros((0, 3))
+    corner = np.arange(len(corner_vertex))
+    polygon = np.repeat(np.arange(len(size)), size)
+    last = corner == polygon_start[1:][polygon] - 1
+    following = np.where(last, polygon_start[:-1][polygon], corner + 1)
+    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
+        origin = vertices[corner_vertex[polygon_start[:-1]]][polygon]
+        edge = np.cross(vertices[corner_vertex] - origin, vertices[corner_vertex[following]] - origin)
+        normal = np.stack([np.bincount(polygon, edge[:, k], len(size)) for k in range(3)], axis=1)
+        length = np.sqrt((normal * normal).sum(axis=1, keepdims=True))
+        return np.where(length > 0, normal / length, 0.0)

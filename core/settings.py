@@ -1,0 +1,36 @@
+"""What a bake may spend: the knobs of both phases, and the accuracy that sets them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+PRESETS = {"draft": 0.10, "good": 0.02, "fine": 0.005}  # relative errors
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Knobs of a bake.
+
+    error: the relative error asked for. seed: of all sample sequences. patch_edge: longest edge of a patch, as a share
+    of the scene's diagonal; None makes every polygon one patch. row_rays: of a form-factor row. patch_samples: places
+    on a patch where its direct light is tested. gather_rays: of a point. side: whose light is asked for, of each
+    face: "front", "back" or "lit" (the one that gets more).
+    """
+
+    error: float = PRESETS["good"]
+    seed: int = 0
+    patch_edge: float | None = 1 / 70
+    row_rays: int = 16
+    patch_samples: int = 4
+    gather_rays: int = 48
+    side: str = "front"
+
+    @classmethod
+    def for_error(cls, error, **others):
+        """The knobs that reach a relative error in common interiors."""
+        for limit, gather_rays in ((0.08, 8), (0.04, 16), (0.015, 48), (0.0075, 128), (0.0, 384)):
+            if error >= limit:
+                break
+        fine = error < 0.0075
+        knobs = dict(gather_rays=gather_rays, row_rays=32 if fine else 16, patch_edge=1 / (100 if fine else 70))
+        return cls(error=error, **(knobs | others))

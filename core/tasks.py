@@ -1,0 +1,6 @@
+"""The tasks that cells know, by name: pure functions of the kernel and their own small arguments."""
+
+from .gather import gather_points
+from .rows import light_patches, trace_rows
+
+TASKS = {"direct": light_patches, "rows": trace_rows, "gather": gather_points}
