@@ -96,11 +96,15 @@ def _parser():
     bake = commands.add_parser("bake", help="bake scenes", description="Bake scenes and save the lit copies.")
     bake.set_defaults(run=run_bake)
     bake.add_argument("scenes", nargs="*", metavar="SCENE.blend", help="files to bake (inside Blender: the open one)")
-    bake.add_argument("-o", "--output", metavar="OUT.blend", help="default: SCENE_radiosity.blend; a folder for several")
+    bake.add_argument(
+        "-o", "--output", metavar="OUT.blend", help="default: SCENE_radiosity.blend; a folder for several"
+    )
     accuracy = bake.add_mutually_exclusive_group()
     accuracy.add_argument("--error", type=percent, metavar="2%", help="relative error to reach")
     accuracy.add_argument("--preset", choices=PRESETS, default="good", help="10, 2 or 0.5 %% error (default: good)")
-    bake.add_argument("--layers", type=_layers, default=("Radiosity", "Lighting"), metavar="A,B", help=", ".join(LAYERS))
+    bake.add_argument(
+        "--layers", type=_layers, default=("Radiosity", "Lighting"), metavar="A,B", help=", ".join(LAYERS)
+    )
     bake.add_argument("--domain", choices=("corner", "point"), default="corner", help="where colors are kept")
     bake.add_argument("--objects", action="append", default=[], metavar="NAME", help="write to this one (or glob) only")
     bake.add_argument("--side", choices=("front", "back", "lit"), default="front", help="the side of faces to bake")
@@ -138,7 +142,9 @@ def run_bake(arguments):
 def _bake_file(path, arguments, several):
     """Bake one file (None: the open one). Raises Refused or OSError with one clear line."""
     source = os.path.abspath(path or bpy.data.filepath)
-    output = _place(arguments.output, source, "_radiosity.blend", several) or source[: -len(".blend")] + "_radiosity.blend"
+    output = (
+        _place(arguments.output, source, "_radiosity.blend", several) or source[: -len(".blend")] + "_radiosity.blend"
+    )
     report = _place(arguments.report, source, ".json", several)
     picture = _place(arguments.picture, source, ".png", several)
     for place in (output, report, picture):
@@ -200,7 +206,11 @@ def _open(path):
         raise Refused("no such file")
     with open(path, "rb") as file:
         head = file.read(7)
-    if head[:7] != b"BLENDER" and head[:4] not in (b"\x28\xb5\x2f\xfd", b"\x1f\x8b\x08\x00") and head[:2] != b"\x1f\x8b":
+    if (
+        head[:7] != b"BLENDER"
+        and head[:4] not in (b"\x28\xb5\x2f\xfd", b"\x1f\x8b\x08\x00")
+        and head[:2] != b"\x1f\x8b"
+    ):
         raise Refused("it is not a .blend file")
     try:
         with _silent():

@@ -31,7 +31,13 @@ def _point(light, power, scale, common, ignored):
 def _spot(light, power, scale, common, ignored):
     lamp = _point(light, power, scale, common, ignored)
     return Lamp(
-        "spot", lamp.strength, radius=lamp.radius, soft=lamp.soft, angle=light.spot_size, blend=light.spot_blend, **common
+        "spot",
+        lamp.strength,
+        radius=lamp.radius,
+        soft=lamp.soft,
+        angle=light.spot_size,
+        blend=light.spot_blend,
+        **common,
     )
 
 
@@ -49,7 +55,9 @@ def _area(light, power, scale, common, ignored):
         ignored.append((common["name"], "an area lamp without area gives no light"))
         return None
     if light.spread < np.radians(179.5):
-        ignored.append((common["name"], f"the spread of {np.degrees(light.spread):.0f} degrees: it shines to all sides"))
+        ignored.append(
+            (common["name"], f"the spread of {np.degrees(light.spread):.0f} degrees: it shines to all sides")
+        )
     radiance = power / np.pi if not getattr(light, "normalize", True) else power / (np.pi * area)
     return Lamp("area", tuple(radiance), size=tuple(size), ellipse=ellipse, **common)
 

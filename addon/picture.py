@@ -11,8 +11,8 @@ from ..core.layers import layer_colors
 from ..core.picture import View, draw, outside_view
 
 WIDEST = 960  # pixels
-BRIGHT = 0.9  # share of the picture that stays below MIDDLE after exposure
-MIDDLE = 0.7
+BRIGHT = 0.8  # share of the picture that stays below MIDDLE after exposure
+MIDDLE = 0.4
 
 
 def save_picture(context, bake, path):

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import bpy
 import numpy as np
 
 from ..core.effects import Finding
 from ..core.scene import Mesh, World, join_meshes
 from .lamps import read_lamp
-from .materials import read_material, read_world
 from .marks import is_made
+from .materials import read_material, read_world
 
 SOLID = {"MESH", "CURVE", "SURFACE", "META", "FONT"}
 
@@ -71,7 +70,9 @@ def read_scene(context, wanted=None):
         kept.append(target is not None and _writable(target[0], reader.health))
         if kept[-1]:
             original, shape, mirrored = target
-            result.append(Target(original.name, corner, last, shape.corner_order(mirrored), shape.same_as(original.data)))
+            result.append(
+                Target(original.name, corner, last, shape.corner_order(mirrored), shape.same_as(original.data))
+            )
         corner = last
     joined = join_meshes(
         meshes, materials, lamps, World(world), np.array(kept, bool), scene.name,
@@ -162,7 +163,9 @@ class _Reader:
         normal = np.empty(3 * len(mesh.loops), np.float32)
         mesh.corner_normals.foreach_get("vector", normal)
         return _Shape(
-            vertices=_values(mesh.attributes["position"].data, "vector", 3 * len(mesh.vertices)).reshape(-1, 3).astype(float),
+            vertices=_values(mesh.attributes["position"].data, "vector", 3 * len(mesh.vertices))
+            .reshape(-1, 3)
+            .astype(float),
             polygon_start=_polygon_start(mesh),
             corner_vertex=_corner_vertex(mesh),
             corner_normal=normal.reshape(-1, 3).astype(float),
@@ -182,12 +185,16 @@ class _Reader:
         outside = (index < 0) | (index >= len(numbers))
         if outside.any():
             text = f"{int(outside.sum())} faces have a material index outside the {len(numbers)} slots"
-            self.health.append(Finding(object.original.name, text, "the last slot's material was taken, as Blender does"))
+            self.health.append(
+                Finding(object.original.name, text, "the last slot's material was taken, as Blender does")
+            )
         if None in slots and object.material_slots:
             used = np.isin(index, [k for k, m in enumerate(slots) if m is None]).sum()
             if used:
                 text = f"{int(used)} faces have an empty material slot"
-                self.health.append(Finding(object.original.name, text, "they were taken as diffuse with reflectance 0.8"))
+                self.health.append(
+                    Finding(object.original.name, text, "they were taken as diffuse with reflectance 0.8")
+                )
         return numbers[np.clip(index, 0, len(numbers) - 1)]
 
     def _material(self, material, object):

@@ -263,7 +263,9 @@ class _Process:
         context = multiprocessing.get_context("spawn")
         self.index, self.tasks, self.heard = index, {}, monotonic()
         self.pipe, there = context.Pipe()
-        self.process = context.Process(target=runpy.run_path, args=(BOOT, {"pipe": there}, "radiosity_cell"), daemon=True)
+        self.process = context.Process(
+            target=runpy.run_path, args=(BOOT, {"pipe": there}, "radiosity_cell"), daemon=True
+        )
         with _empty_main():
             self.process.start()
         there.close()  # so that the pipe ends when the cell does

@@ -95,7 +95,9 @@ def _unusable(scene):
     finite = np.isfinite(scene.vertices).all(axis=1)[scene.triangles].all(axis=1)
     for o in np.flatnonzero(np.bincount(owner[~finite], minlength=count)):
         faces = len(np.unique(scene.triangle_polygon[~finite & (owner == o)]))
-        yield Finding(scene.objects[o], f"{faces} faces have vertices that are not finite numbers", "they were left out")
+        yield Finding(
+            scene.objects[o], f"{faces} faces have vertices that are not finite numbers", "they were left out"
+        )
     flat = finite & ~scene.usable
     for o in np.flatnonzero(np.bincount(owner[flat], minlength=count)):
         faces = len(np.unique(scene.triangle_polygon[flat & (owner == o)]))

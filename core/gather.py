@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .lights import FLAT, SUN, test_rays, unoccluded, visible_share
+from .lights import FLAT, test_rays, unoccluded, visible_share
 from .records import to_arrays
 from .rows import blocks
 from .sampling import R2, hemisphere, lattice, scatter, tangents

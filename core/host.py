@@ -294,7 +294,9 @@ def _light_patches(cells, count, settings):
 def _trace_rows(cells, sides, settings):
     """Ids of the tasks that find the rows of sides (K,)."""
     size = max(TASK_RAYS // settings.row_rays, 1)
-    return [cells.submit("rows", sides=part, rays=settings.row_rays, seed=settings.seed) for part in _parts(sides, size)]
+    return [
+        cells.submit("rows", sides=part, rays=settings.row_rays, seed=settings.seed) for part in _parts(sides, size)
+    ]
 
 
 def _parts(items, size):

@@ -8,8 +8,6 @@ from __future__ import annotations
 
 from functools import cached_property
 
-import numpy as np
-
 from .lights import Sources
 from .patches import Patches, patch_of_hit
 from .points import Points

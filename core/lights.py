@@ -324,7 +324,9 @@ def _coplanar_groups(scene, polygons, normal):
     place = (scene.vertices[scene.corner_vertex[corner]] - scene.bounds[0]) / max(scene.diagonal, 1e-300)
     n = normal[polygons]
     level = np.einsum("kd,kd->k", place[np.cumsum(size) - size], n)
-    alike = np.column_stack([scene.polygon_object[polygons], scene.polygon_material[polygons], n.round(4), level.round(5)])
+    alike = np.column_stack(
+        [scene.polygon_object[polygons], scene.polygon_material[polygons], n.round(4), level.round(5)]
+    )
     _, alike = np.unique(alike, axis=0, return_inverse=True)
     _, joint = np.unique(np.column_stack([alike.reshape(-1)[owner], place.round(6)]), axis=0, return_inverse=True)
     label, joint = np.arange(len(polygons)), joint.reshape(-1)

@@ -42,7 +42,7 @@ SCHEMA = {
         cells_restarted=_COUNT,
         converged=_FLAG,
         seconds=_record(
-            **{k: _NUMBER for k in ("start", "read", "survey", "patches", "transport", "gather", "write", "total", "cpu", "embree_cpu")}
+            **dict.fromkeys(("start", "read", "survey", "patches", "transport", "gather", "write", "total", "cpu", "embree_cpu"), _NUMBER)
         ),
         transport=_record(
             rounds=_COUNT, shots=_COUNT, schedule=_TEXT,
@@ -52,9 +52,9 @@ SCHEMA = {
             requested=_NUMBER, estimated=_NUMBER, interior=_NUMBER, sampling=_NUMBER, patches=_NUMBER, solve=_NUMBER,
             floor=_FLAG, worst={"anyOf": [{"type": "null"}, _record(object={"type": "string"}, error=_NUMBER)]},
         ),
-        energy=_record(**{k: _NUMBER for k in ("emitted_w", "absorbed_w", "escaped_w", "unshot_w", "direct_check")}),
+        energy=_record(**dict.fromkeys(("emitted_w", "absorbed_w", "escaped_w", "unshot_w", "direct_check"), _NUMBER)),
         price=_list(
-            _record(**{k: _NUMBER for k in ("error", "seconds_predicted", "seconds_measured", "error_measured", "memory_mb")})
+            _record(**dict.fromkeys(("error", "seconds_predicted", "seconds_measured", "error_measured", "memory_mb"), _NUMBER))
         ),
         layers=_list({"type": "string"}),
         objects=_list(_record(name={"type": "string"}, points=_COUNT, domain=_TEXT, error=_NUMBER)),

@@ -180,7 +180,7 @@ def join_meshes(meshes, materials=(Material(),), lamps=(), world=World(), writte
     parts = {k: [] for k in ("v", "ps", "po", "pm", "cv", "cn", "tc", "tp")}
     for index, mesh in enumerate(meshes):
         material = np.asarray(mesh.polygon_material, np.int32)
-        if len(material) and not (0 <= material.min() and material.max() < len(materials)):
+        if len(material) and not (material.min() >= 0 and material.max() < len(materials)):
             raise ValueError(f"{mesh.name}: material index {material.max()} of {len(materials)} materials")
         corners, polygons = mesh.triangle_corner, mesh.triangle_polygon
         if corners is None:

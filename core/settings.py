@@ -28,9 +28,9 @@ class Settings:
     @classmethod
     def for_error(cls, error, **others):
         """The knobs that reach a relative error in common interiors."""
-        for limit, gather_rays in ((0.08, 8), (0.04, 16), (0.015, 48), (0.0075, 128), (0.0, 384)):
+        for limit, rays in ((0.08, 8), (0.04, 16), (0.015, 48), (0.0075, 128), (0.0, 384)):
             if error >= limit:
                 break
         fine = error < 0.0075
-        knobs = dict(gather_rays=gather_rays, row_rays=32 if fine else 16, patch_edge=1 / (100 if fine else 70))
+        knobs = dict(gather_rays=rays, row_rays=32 if fine else 16, patch_edge=1 / (100 if fine else 70))
         return cls(error=error, **(knobs | others))

@@ -1,0 +1,33 @@
+# Every target sets up what it needs in .venv by itself. `make help` lists them.
+VENV := .venv/bin
+SHELL := /bin/bash
+
+help: ## this list
+	@grep -E '^[a-z-]+:.*##' Makefile | sed 's/:.*## /\t/' | expand -t 16
+
+setup: ## make or mend .venv
+	@tools/setup.sh
+
+bake: setup ## bake the sample Cornell box into out/
+	@mkdir -p out
+	$(VENV)/radiosity bake sample_scenes/cornell_box.blend -o out/cornell_box.blend --picture out/cornell_box.png --report out/cornell_box.json
+
+test: setup ## all tests but the heavy ones
+	$(VENV)/pytest
+
+test-heavy: setup ## the heavy tests
+	$(VENV)/pytest -m heavy
+
+test-blender: setup extension ## tests inside a real Blender: make test-blender BLENDER=path
+	BLENDER="$(BLENDER)" $(VENV)/pytest -m blender
+
+extension: setup ## build dist/*.zip for every platform
+	$(VENV)/python tools/extension.py
+
+samples: setup ## make the sample scenes anew (needs bpy 4.2)
+	$(VENV)/python sample_scenes/make.py
+
+lint: setup ## check the style
+	$(VENV)/ruff check . && $(VENV)/ruff format --check .
+
+.PHONY: help setup bake test test-heavy test-blender extension samples lint
