@@ -1,11 +1,12 @@
 """Blender's materials and world as what the core knows: total reflectance, translucency and exitance.
 
-Owns the reading of shader graphs whose values are constant. Others are left to `cycles_read`.
+Owns the reading of shader graphs whose values are constant, or an image as their color. Others are left to
+`cycles_read`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -22,49 +23,74 @@ class NotConstant(Exception):
 
 @dataclass(frozen=True)
 class _Surface:
-    """Shares of the light: reflected diffusely, mirror-like, sent through diffusely, let pass; and radiance emitted."""
+    """Shares of the light: reflected diffusely, mirror-like, sent through diffusely; radiance emitted; and what a
+    texture adds to what is reflected, as a factor of its color."""
 
     diffuse: np.ndarray
     gloss: np.ndarray
     through: np.ndarray
     emission: np.ndarray
+    tint: np.ndarray
 
     def __add__(self, other):
-        return _Surface(*(getattr(self, n) + getattr(other, n) for n in FIELDS))
+        return _Surface(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
 
     def __mul__(self, share):
-        return _Surface(*(getattr(self, n) * share for n in FIELDS))
-
-
-FIELDS = ("diffuse", "gloss", "through", "emission")
+        return _Surface(*(getattr(self, f.name) * share for f in fields(self)))
 
 
 def _surface(**parts):
-    return _Surface(*(np.asarray(parts.get(n, np.zeros(3)), float) for n in FIELDS))
+    return _Surface(*(np.asarray(parts.get(f.name, np.zeros(3)), float) for f in fields(_Surface)))
+
+
+class Graph:
+    """What is met in one shader graph: notes on what is left out, and its texture as (image, UV map), if it has one."""
+
+    def __init__(self):
+        self.notes, self.texture = [], None
+
+    def use(self, texture):
+        if self.texture not in (None, texture):
+            raise NotConstant("a second image")
+        self.texture = texture
 
 
 def read_material(material, object, ignored):
-    """The core's Material of a Blender material (None: Blender's default, diffuse 0.8).
+    """The core's Material of a Blender material (None: Blender's default, diffuse 0.8), and its texture as (image, UV
+    map) or None; the texture's number is left to the caller.
 
     object: name of an object that uses it, for `ignored`. Raises NotConstant if its graph must be baked to be known.
     """
     if material is None:
-        return Material()
+        return Material(), None
     output = material.node_tree.get_output_node("CYCLES") if material.use_nodes and material.node_tree else None
     if output is None:
-        return Material(material.name, tuple(np.clip(material.diffuse_color[:3], 0, 1)))
-    notes = []
-    surface = _shader(output.inputs["Surface"], notes)
+        return viewport_material(material), None
+    graph = Graph()
+    surface = _shader(output.inputs["Surface"], graph)
     if output.inputs["Volume"].is_linked:
-        notes.append("its volume is left out")
+        graph.notes.append("its volume is left out")
     if output.inputs["Displacement"].is_linked:
-        notes.append("its displacement is left out")
+        graph.notes.append("its displacement is left out")
     total = surface.diffuse + surface.gloss
-    if surface.gloss.sum() > GLOSS_SHARE * max(total.sum(), 1e-9):
-        share = 100 * surface.gloss.sum() / total.sum()
-        notes.append(f"gloss, {share:.0f} % of what it reflects, is sent on diffusely")
-    ignored.extend((object, f"{material.name}: {note}") for note in notes)
-    return Material(material.name, tuple(total), tuple(np.pi * surface.emission), tuple(surface.through))
+    usual = total + 0.5 * surface.tint
+    if surface.gloss.sum() > GLOSS_SHARE * max(usual.sum(), 1e-9):
+        share = 100 * surface.gloss.sum() / usual.sum()
+        graph.notes.append(f"gloss, {share:.0f} % of what it reflects, is sent on diffusely")
+    ignored.extend((object, f"{material.name}: {note}") for note in graph.notes)
+    read = Material(
+        material.name,
+        reflectance=tuple(total),
+        exitance=tuple(np.pi * surface.emission),
+        translucency=tuple(surface.through),
+        tint=tuple(surface.tint),
+    )
+    return read, graph.texture
+
+
+def viewport_material(material):
+    """The core's Material of a Blender material's viewport color."""
+    return Material(material.name, tuple(np.clip(material.diffuse_color[:3], 0, 1)))
 
 
 def read_world(world, ignored):
@@ -88,34 +114,35 @@ def _background(node):
     raise NotConstant(node.bl_label)
 
 
-def _shader(socket, notes):
+def _shader(socket, graph):
     """The _Surface of a shader socket."""
     if not socket.is_linked:
         return _surface()
     node = socket.links[0].from_node
     if node.type not in SHADERS:
         raise NotConstant(node.bl_label)
-    return SHADERS[node.type](node, notes)
+    return SHADERS[node.type](node, graph)
 
 
-def _principled(node, notes):
+def _principled(node, graph):
     get = {s.name: s for s in node.inputs}
-    base = np.clip(_color(get["Base Color"]), 0.0, 1.0)
+    base, tint = _base(get["Base Color"], graph)
     metal, clear = _value(get["Metallic"]), _value(get["Transmission Weight"])
     for name, word in (("Subsurface Weight", "subsurface light"), ("Coat Weight", "a coat"), ("Sheen Weight", "sheen")):
         if name in get and _value(get[name]) > 0:
-            notes.append(f"{word} is left out")
+            graph.notes.append(f"{word} is left out")
     mirror = _mirror(get)
     opaque = (1.0 - metal) * (1.0 - clear)
     surface = _surface(
         diffuse=base * (1.0 - mirror) * opaque,
         gloss=mirror * (1.0 - metal) + METAL * base * metal + base * (1.0 - mirror) * (1.0 - metal) * clear,
+        tint=tint * ((1.0 - mirror) * (1.0 - metal) + METAL * metal),
         emission=np.maximum(_emitted(get["Emission Color"], get["Emission Strength"]), 0.0),
     )
     if clear > 0:
-        notes.append("refraction: light that would pass is sent back")
+        graph.notes.append("refraction: light that would pass is sent back")
     if _value(get["Alpha"]) < 1:
-        notes.append("transparency: it is taken as opaque")
+        graph.notes.append("transparency: it is taken as opaque")
     return surface
 
 
@@ -128,43 +155,44 @@ def _mirror(get):
     return np.clip(fresnel * (1.0 - 0.65 * rough**3.5) * tint, 0.0, 1.0)
 
 
-def _diffuse(node, notes):
-    return _surface(diffuse=np.clip(_color(node.inputs["Color"]), 0.0, None))
+def _diffuse(node, graph):
+    base, tint = _base(node.inputs["Color"], graph)
+    return _surface(diffuse=base, tint=tint)
 
 
-def _glossy(node, notes):
+def _glossy(node, graph):
     return _surface(gloss=METAL * np.clip(_color(node.inputs["Color"]), 0.0, None))
 
 
-def _glass(node, notes):
-    notes.append("refraction: light that would pass is sent back")
+def _glass(node, graph):
+    graph.notes.append("refraction: light that would pass is sent back")
     return _surface(gloss=np.clip(_color(node.inputs["Color"]), 0.0, 1.0))
 
 
-def _translucent(node, notes):
+def _translucent(node, graph):
     return _surface(through=np.clip(_color(node.inputs["Color"]), 0.0, None))
 
 
-def _emission(node, notes):
+def _emission(node, graph):
     return _surface(emission=np.maximum(_emitted(node.inputs["Color"], node.inputs["Strength"]), 0.0))
 
 
-def _mix(node, notes):
+def _mix(node, graph):
     share = np.clip(_value(node.inputs[0]), 0.0, 1.0)
-    return _shader(node.inputs[1], notes) * (1.0 - share) + _shader(node.inputs[2], notes) * share
+    return _shader(node.inputs[1], graph) * (1.0 - share) + _shader(node.inputs[2], graph) * share
 
 
-def _add(node, notes):
-    return _shader(node.inputs[0], notes) + _shader(node.inputs[1], notes)
+def _add(node, graph):
+    return _shader(node.inputs[0], graph) + _shader(node.inputs[1], graph)
 
 
-def _transparent(node, notes):
-    notes.append("transparency: it is taken as opaque")
+def _transparent(node, graph):
+    graph.notes.append("transparency: it is taken as opaque")
     return _surface()
 
 
-def _reroute(node, notes):
-    return _shader(node.inputs[0], notes)
+def _reroute(node, graph):
+    return _shader(node.inputs[0], graph)
 
 
 SHADERS = {
@@ -199,6 +227,52 @@ def _is_layer(socket):
     node = socket.links[0].from_node
     name = getattr(node, "layer_name", None) or getattr(node, "attribute_name", "")
     return node.type in {"VERTEX_COLOR", "ATTRIBUTE"} and name.split("_")[0] in LAYER_NAMES
+
+
+def _base(socket, graph):
+    """The constant color (3,) of a socket and the factor (3,) of the graph's texture; one of them is 0."""
+    texture = _image(socket)
+    if texture is None:
+        return np.clip(_color(socket), 0.0, 1.0), np.zeros(3)
+    graph.use(texture)
+    return np.zeros(3), np.ones(3)
+
+
+def _image(socket):
+    """The (image, UV map's name or "") that feeds a socket as it is, or None."""
+    node = socket.links[0].from_node if socket.is_linked else None
+    if node is None or node.type != "TEX_IMAGE" or socket.links[0].from_socket.name != "Color":
+        return None
+    if node.image is None or node.image.source not in {"FILE", "GENERATED"} or node.projection != "FLAT":
+        return None
+    vector = node.inputs["Vector"]
+    if not vector.is_linked:
+        return node.image, ""
+    feed = vector.links[0].from_node
+    if feed.type == "UVMAP":
+        return node.image, feed.uv_map
+    if feed.type == "TEX_COORD" and vector.links[0].from_socket.name == "UV":
+        return node.image, ""
+    return None
+
+
+def read_pixels(image, largest=1024):
+    """The core's pixels (height, width, 3) of an image, linear float32, averaged down to `largest` on a side."""
+    width, height = image.size
+    if not width or not height:
+        return np.full((1, 1, 3), (1.0, 0.0, 1.0), np.float32)  # a missing file, as Blender shows it
+    pixels = np.empty(width * height * image.channels, np.float32)
+    image.pixels.foreach_get(pixels)
+    pixels = pixels.reshape(height, width, image.channels)
+    pixels = np.repeat(pixels[..., :1], 3, axis=2) if image.channels < 3 else pixels[..., :3]
+    if not image.is_float and image.colorspace_settings.name == "sRGB":
+        pixels = np.where(pixels <= 0.04045, pixels / 12.92, ((pixels + 0.055) / 1.055) ** 2.4).astype(np.float32)
+    for axis in (0, 1):
+        step = -(-pixels.shape[axis] // largest)
+        starts = np.arange(0, pixels.shape[axis], step)
+        counts = np.diff(np.append(starts, pixels.shape[axis])).reshape([-1 if k == axis else 1 for k in range(3)])
+        pixels = np.add.reduceat(pixels, starts, axis=axis) / counts.astype(np.float32)
+    return pixels
 
 
 def _color(socket):

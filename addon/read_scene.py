@@ -6,15 +6,18 @@ in the file is changed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from mathutils import Matrix
 
 from ..core.effects import Finding
 from ..core.scene import Mesh, World, join_meshes
+from ..core.surfaces import Texture
+from .cycles_read import CannotRead, Unread, read_with_cycles
 from .lamps import read_lamp
 from .marks import is_made
-from .materials import read_material, read_world
+from .materials import NotConstant, read_material, read_pixels, read_world, viewport_material
 
 SOLID = {"MESH", "CURVE", "SURFACE", "META", "FONT"}
 
@@ -34,17 +37,17 @@ class Target:
     same: bool
 
 
-def read_scene(context, wanted=None):
+def read_scene(context, wanted=None, spacing=1 / 200):
     """The core's Scene of a context's scene in its current frame, and the Targets that can be written.
 
     wanted: function of an object's name, whether its light is asked for; None asks for all. What is asked for never
-    limits what casts light.
+    limits what casts light. spacing: of samples on surfaces that only Cycles understands, in scene diagonals.
     """
     depsgraph = context.evaluated_depsgraph_get()
     scene = depsgraph.scene
     rendered = _rendered(scene)
     reader = _Reader()
-    meshes, lamps, targets = [], [], []
+    meshes, lamps, placed = [], [], []
     for instance in depsgraph.object_instances:
         object = instance.object
         original = object.original
@@ -61,24 +64,56 @@ def read_scene(context, wanted=None):
                 continue
             meshes.append(shape.placed(original.name, matrix))
             own = not instance.is_instance and original.type == "MESH" and (wanted is None or wanted(original.name))
-            targets.append((original, shape, np.linalg.det(matrix[:3, :3]) < 0) if own else None)
+            placed.append(_Placed(original, shape, matrix, own, shape.corner_order(mirrored(matrix))))
 
-    world, materials = read_world(scene.world, reader.ignored), reader.materials
-    result, kept, corner = [], [], 0
-    for mesh, target in zip(meshes, targets):
-        last = corner + len(mesh.corner_vertex)
-        kept.append(target is not None and _writable(target[0], reader.health))
-        if kept[-1]:
-            original, shape, mirrored = target
-            result.append(
-                Target(original.name, corner, last, shape.corner_order(mirrored), shape.same_as(original.data))
-            )
-        corner = last
+    corner = np.concatenate([[0], np.cumsum([len(m.corner_vertex) for m in meshes])]).astype(int)
+    written = [p.own and _writable(p.original, reader.health) for p in placed]
+    targets = tuple(
+        Target(p.original.name, corner[k], corner[k + 1], p.order, p.shape.same_as(p.original.data))
+        for k, p in enumerate(placed)
+        if written[k]
+    )
     joined = join_meshes(
-        meshes, materials, lamps, World(world), np.array(kept, bool), scene.name,
-        health=tuple(reader.health + _hidden(scene, depsgraph, rendered)), ignored=tuple(dict.fromkeys(reader.ignored)),
+        meshes, reader.materials, lamps, World(read_world(scene.world, reader.ignored)), written, scene.name,
+        textures=tuple(reader.textures), health=tuple(reader.health + _hidden(scene, depsgraph, rendered)),
     )  # fmt: skip
-    return joined, tuple(result)
+    readings = _read_others(context, depsgraph, reader, joined, placed, corner, spacing)
+    return replace(joined, readings=readings, ignored=tuple(dict.fromkeys(reader.ignored))), targets
+
+
+def _read_others(context, depsgraph, reader, scene, placed, corner, spacing):
+    """The Readings of all surfaces whose material is not understood, or None."""
+    unread = np.isin(scene.polygon_material, list(reader.unread))[scene.triangle_polygon] & scene.usable
+    if not unread.any():
+        return None
+    owner = scene.polygon_object[scene.triangle_polygon]
+    jobs = []
+    for k in np.unique(owner[unread]):
+        numbers = np.flatnonzero(unread & (owner == k))
+        corners = scene.triangle_corner[numbers]
+        jobs.append(
+            Unread(
+                placed[k].original.evaluated_get(depsgraph), Matrix(placed[k].matrix), placed[k].order[corners - corner[k]],
+                numbers, scene.triangle_normal_area[1][numbers], corners,
+            )
+        )  # fmt: skip
+    try:
+        return read_with_cycles(context, jobs, spacing * scene.diagonal)
+    except CannotRead as problem:
+        names = ", ".join(sorted(m.name for k, m in enumerate(scene.materials) if k in reader.unread))
+        reader.ignored.append((names, f"its nodes could not be read ({problem}): its viewport color was taken"))
+        return None
+
+
+@dataclass(frozen=True)
+class _Placed:
+    """A shape where an object or instance stands. own: it is an object whose light is asked for; order: see _Shape."""
+
+    original: object
+    shape: object
+    matrix: np.ndarray
+    own: bool
+    order: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -92,11 +127,12 @@ class _Shape:
     triangle_corner: np.ndarray
     triangle_polygon: np.ndarray
     polygon_material: np.ndarray
+    corner_uv: np.ndarray | None
 
-    def corner_order(self, mirrored):
+    def corner_order(self, backward):
         """(C,) Blender's number of each corner in the order of the scene: a mirrored object's polygons run backward."""
         order = np.arange(len(self.corner_vertex))
-        if mirrored:
+        if backward:
             size = np.diff(self.polygon_start)
             order = np.repeat(self.polygon_start[:-1] + self.polygon_start[1:] - 1, size) - order
         return order
@@ -104,11 +140,11 @@ class _Shape:
     def placed(self, name, matrix):
         """The core's Mesh of this shape under a world matrix (4, 4)."""
         linear, offset = matrix[:3, :3], matrix[:3, 3]
-        mirrored = np.linalg.det(linear) < 0
-        order = self.corner_order(mirrored)
+        flip = mirrored(matrix)
+        order = self.corner_order(flip)
         with np.errstate(invalid="ignore", over="ignore"):
             vertices = np.einsum("ij,kj->ki", linear, self.vertices) + offset
-            normal = np.einsum("ij,kj->ki", _cofactor(linear), self.corner_normal) * (-1.0 if mirrored else 1.0)
+            normal = np.einsum("ij,kj->ki", _cofactor(linear), self.corner_normal) * (-1.0 if flip else 1.0)
             length = np.sqrt((normal * normal).sum(axis=1, keepdims=True))
             normal = np.where(length > 0, normal / np.where(length > 0, length, 1.0), 0.0)
         place = np.empty(len(order), np.int64)
@@ -119,9 +155,10 @@ class _Shape:
             polygon_start=self.polygon_start,
             corner_vertex=self.corner_vertex[order],
             corner_normal=normal[order],
-            triangle_corner=place[self.triangle_corner[:, ::-1] if mirrored else self.triangle_corner],
+            triangle_corner=place[self.triangle_corner[:, ::-1] if flip else self.triangle_corner],
             triangle_polygon=self.triangle_polygon,
             polygon_material=self.polygon_material,
+            corner_uv=None if self.corner_uv is None else self.corner_uv[order],
         )
 
     def same_as(self, mesh):
@@ -133,17 +170,24 @@ class _Shape:
         )
 
 
+def mirrored(matrix):
+    """Whether a world matrix (4, 4) turns left into right."""
+    return bool(np.linalg.det(matrix[:3, :3]) < 0)
+
+
 def _cofactor(m):
     """The matrix (3, 3) that turns normals: the inverse transpose times the determinant, so it exists when flat too."""
     return np.stack([np.cross(m[1], m[2]), np.cross(m[2], m[0]), np.cross(m[0], m[1])])
 
 
 class _Reader:
-    """Shapes and materials, each read once, and what was found on the way."""
+    """Shapes, materials and images, each read once, and what was found on the way. unread: numbers of the materials
+    whose nodes are not understood."""
 
     def __init__(self):
-        self.materials, self.ignored, self.health = [], [], []
-        self._numbers, self._shapes = {}, {}
+        self.materials, self.textures, self.ignored, self.health = [], [], [], []
+        self.unread = set()
+        self._numbers, self._images, self._uv_maps, self._shapes = {}, {}, {}, {}
 
     def shape(self, object):
         """The _Shape of an evaluated object; None if it has no polygons. Instances of one mesh share it."""
@@ -171,8 +215,28 @@ class _Reader:
             corner_normal=normal.reshape(-1, 3).astype(float),
             triangle_corner=corner.reshape(-1, 3),
             triangle_polygon=polygon,
-            polygon_material=self._polygon_materials(object, mesh),
+            polygon_material=(material := self._polygon_materials(object, mesh)),
+            corner_uv=self._corner_uv(object, mesh, material),
         )
+
+    def _corner_uv(self, object, mesh, polygon_material):
+        """(C, 2) place of every corner in its material's texture, or None if no material has one."""
+        maps = {number: self._uv_maps[number] for number in np.unique(polygon_material) if number in self._uv_maps}
+        if not maps:
+            return None
+        uv = np.zeros((len(mesh.loops), 2))
+        material = np.repeat(polygon_material, np.diff(_polygon_start(mesh)))
+        for number, name in maps.items():
+            layer = mesh.uv_layers.get(name) or next((m for m in mesh.uv_layers if m.active_render), None)
+            if layer is None:
+                text = f"its material {self.materials[number].name} has an image, but the mesh has no UV map"
+                self.health.append(
+                    Finding(object.original.name, text, "the image's first pixel was taken, as Cycles does")
+                )
+            else:
+                chosen = material == number
+                uv[chosen] = _values(layer.uv, "vector", 2 * len(mesh.loops)).reshape(-1, 2)[chosen]
+        return uv
 
     def _polygon_materials(self, object, mesh):
         """(P,) number of each polygon's material among all that were read."""
@@ -201,9 +265,24 @@ class _Reader:
         """Number of a Blender material (or None) among those read."""
         key = material.original.name_full if material else None
         if key not in self._numbers:
-            self._numbers[key] = len(self.materials)
-            self.materials.append(read_material(material, object, self.ignored))
+            number = self._numbers[key] = len(self.materials)
+            try:
+                read, texture = read_material(material, object, self.ignored)
+            except NotConstant:
+                read, texture = viewport_material(material), None
+                self.unread.add(number)
+            if texture is not None:
+                read = replace(read, texture=self._texture(texture[0]))
+                self._uv_maps[number] = texture[1]
+            self.materials.append(read)
         return self._numbers[key]
+
+    def _texture(self, image):
+        """Number of a Blender image among the textures read."""
+        if image.name_full not in self._images:
+            self._images[image.name_full] = len(self.textures)
+            self.textures.append(Texture(image.name, read_pixels(image)))
+        return self._images[image.name_full]
 
 
 def _slots(object):

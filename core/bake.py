@@ -10,13 +10,14 @@ import numpy as np
 from .cells import peak_memory
 from .effects import Survey, survey
 from .gather import Light, gather
-from .host import Solution, make_surfaces, solve
+from .host import Solution, solve
 from .kernel import scene_arrays
 from .lights import make_sources
 from .patches import Patches, make_patches
 from .points import Points, make_points
 from .scene import Scene
 from .settings import Settings
+from .surfaces import make_surfaces
 
 
 @dataclass(frozen=True)

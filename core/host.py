@@ -20,49 +20,6 @@ LAG = 3  # batches in flight; a batch is picked from the state that so many batc
 BATCH = 4096  # sides of a batch at least, and a share of those that wait
 BATCH_SHARE = 0.25
 SWEEPS = 20_000  # of the final solve, at most
-LARGEST_REFLECTANCE = 0.999  # of reflectance and translucency together: more has no steady state in a closed room
-
-
-@dataclass(frozen=True)
-class Surfaces:
-    """What sides (2 N, 3) do with light: reflectance, translucency [-] and exitance [W/m^2], RGB.
-
-    sampled: (2 N,) bool, the exitance belongs to a source that is sampled, so rays must not find it again.
-    """
-
-    reflectance: np.ndarray
-    translucency: np.ndarray
-    exitance: np.ndarray
-    sampled: np.ndarray
-
-    @property
-    def found(self):
-        """(2 N, 3) exitance that rays find by meeting it [W/m^2]."""
-        return np.where(self.sampled[:, None], 0.0, self.exitance)
-
-    @property
-    def returned(self):
-        """(3,) largest share of light that any side sends on."""
-        return (self.reflectance + self.translucency).max(axis=0, initial=0.0)
-
-    def send(self, arriving):
-        """(2 N, 3) what sides send on of light (2 N, 3) that arrives on them: back, and through to the other side."""
-        sent = self.reflectance * arriving
-        if self.translucency.any():
-            sent += (self.translucency * arriving).reshape(-1, 2, 3)[:, ::-1].reshape(-1, 3)
-        return sent
-
-
-def make_surfaces(scene, patches, sampled):
-    """The Surfaces of patches. sampled: (P,) bool, polygons whose light is sampled."""
-    material = scene.polygon_material[patches.polygon]
-
-    def of(name):
-        return np.repeat(np.array([getattr(m, name) for m in scene.materials], float)[material], 2, axis=0)
-
-    reflectance, translucency = np.clip(of("reflectance"), 0.0, None), np.clip(of("translucency"), 0.0, None)
-    excess = np.maximum((reflectance + translucency) / LARGEST_REFLECTANCE, 1.0)
-    return Surfaces(reflectance / excess, translucency / excess, of("exitance"), np.repeat(sampled[patches.polygon], 2))
 
 
 @dataclass(frozen=True)

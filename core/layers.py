@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from .surfaces import corner_surfaces
+
 LAYERS = ("Radiosity", "Lighting", "Direct", "Indirect")
 
 
@@ -21,12 +23,8 @@ def layer_colors(bake, layer):
     colors = np.zeros((len(scene.corner_vertex), 3))
     colors[points.corner] = irradiance[points.corner_point]
     if layer == "Radiosity":
-        reflectance, exitance = (
-            np.array([getattr(m, name) for m in scene.materials], float) for name in ("reflectance", "exitance")
-        )
-        polygon = np.repeat(np.arange(len(scene.polygon_material)), np.diff(scene.polygon_start))[points.corner]
-        material = scene.polygon_material[polygon]
-        colors[points.corner] = exitance[material] + reflectance[material] * colors[points.corner]
+        reflectance, exitance = corner_surfaces(scene, points.corner)
+        colors[points.corner] = exitance + reflectance * colors[points.corner]
     return colors / np.pi
 
 

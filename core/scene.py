@@ -21,12 +21,15 @@ class Material:
 
     reflectance, translucency: (3,) share of the irradiance sent back and sent through, diffusely [-].
     exitance: (3,) emitted light, leaving both sides [W/m^2]; Blender's emission strength times pi.
+    texture: number of a texture of the scene, tint: (3,); the texture times the tint is added to the reflectance.
     """
 
     name: str = "default"
     reflectance: tuple = (0.8, 0.8, 0.8)
     exitance: tuple = BLACK
     translucency: tuple = BLACK
+    texture: int | None = None
+    tint: tuple = (1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -70,6 +73,7 @@ class Mesh:
     polygon_start[p + 1]. corner_vertex: (C,) int. corner_normal: (C, 3) shading normals, None for flat shading.
     triangle_corner: (T, 3) int corners of the triangles that fill the polygons, None for a fan of each polygon
     (right for convex polygons). triangle_polygon: (T,) int. polygon_material: (P,) int into the scene's materials.
+    corner_uv: (C, 2) place in the texture of each corner's material, None if there is none.
     """
 
     name: str
@@ -80,6 +84,7 @@ class Mesh:
     corner_normal: np.ndarray | None = None
     triangle_corner: np.ndarray | None = None
     triangle_polygon: np.ndarray | None = None
+    corner_uv: np.ndarray | None = None
 
     @classmethod
     def of_polygons(cls, name, vertices, polygons, material=0, **fields):
@@ -101,6 +106,8 @@ class Scene:
 
     objects: (O,) names. The arrays are `Mesh`'s, one object after the other, indices counted through the whole scene;
     polygon_object: (P,) int. corner_normal is always given here. written: (O,) bool, objects whose light is asked for.
+    textures: tuple of surfaces.Texture; corner_uv: (C, 2) where each corner lies in its material's texture.
+    readings: a surfaces.Readings of colors that replace those of the materials.
     health: findings, and ignored: (object, reason) pairs, of whoever read the scene.
     """
 
@@ -117,6 +124,9 @@ class Scene:
     lamps: tuple = ()
     world: World = World()
     written: np.ndarray | None = None
+    textures: tuple = ()
+    corner_uv: np.ndarray | None = None
+    readings: object | None = None
     health: tuple = ()
     ignored: tuple = ()
     name: str = "scene"
@@ -177,7 +187,7 @@ def join_meshes(meshes, materials=(Material(),), lamps=(), world=World(), writte
     """
     meshes = tuple(meshes)
     vertex0 = corner0 = polygon0 = 0
-    parts = {k: [] for k in ("v", "ps", "po", "pm", "cv", "cn", "tc", "tp")}
+    parts = {k: [] for k in ("v", "ps", "po", "pm", "cv", "cn", "uv", "tc", "tp")}
     for index, mesh in enumerate(meshes):
         material = np.asarray(mesh.polygon_material, np.int32)
         if len(material) and not (material.min() >= 0 and material.max() < len(materials)):
@@ -191,6 +201,7 @@ def join_meshes(meshes, materials=(Material(),), lamps=(), world=World(), writte
         parts["pm"].append(material)
         parts["cv"].append(np.asarray(mesh.corner_vertex) + vertex0)
         parts["cn"].append(flat_normals(mesh) if mesh.corner_normal is None else np.asarray(mesh.corner_normal, float))
+        parts["uv"].append(np.zeros((len(mesh.corner_vertex), 2)) if mesh.corner_uv is None else mesh.corner_uv)
         parts["tc"].append(np.asarray(corners).reshape(-1, 3) + corner0)
         parts["tp"].append(np.asarray(polygons) + polygon0)
         vertex0 += len(mesh.vertices)
@@ -208,6 +219,7 @@ def join_meshes(meshes, materials=(Material(),), lamps=(), world=World(), writte
         polygon_material=joined("pm", np.int32),
         corner_vertex=joined("cv", np.int32),
         corner_normal=joined("cn", float, (0, 3)),
+        corner_uv=joined("uv", float, (0, 2)) if any(m.corner_uv is not None for m in meshes) else None,
         triangle_corner=joined("tc", np.int32, (0, 3)),
         triangle_polygon=joined("tp", np.int32),
         materials=tuple(materials),

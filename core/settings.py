@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 PRESETS = {"draft": 0.10, "good": 0.02, "fine": 0.005}  # relative errors
 
+GATHER_RAYS = ((0.08, 8), (0.04, 16), (0.015, 48), (0.0075, 128), (0.0, 384))  # from this error up, so many
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -28,9 +30,7 @@ class Settings:
     @classmethod
     def for_error(cls, error, **others):
         """The knobs that reach a relative error in common interiors."""
-        for limit, rays in ((0.08, 8), (0.04, 16), (0.015, 48), (0.0075, 128), (0.0, 384)):
-            if error >= limit:
-                break
+        rays = next(rays for least, rays in GATHER_RAYS if error >= least)
         fine = error < 0.0075
         knobs = dict(gather_rays=rays, row_rays=32 if fine else 16, patch_edge=1 / (100 if fine else 70))
         return cls(error=error, **(knobs | others))

@@ -1,6 +1,6 @@
 """Make the sample scenes. Run with the oldest Blender that is supported (bpy 4.2), whose files all others open:
 
-    python sample_scenes/make.py [NAME ...]
+python sample_scenes/make.py [NAME ...]
 """
 
 from __future__ import annotations
@@ -110,7 +110,8 @@ def ball_parts(center, radius, paint, segments=32, rings=16):
     turn = 2 * np.pi * np.arange(segments) / segments
     rise = np.pi * np.arange(1, rings) / rings
     ring = [
-        [(radius * np.sin(r) * np.cos(t), radius * np.sin(r) * np.sin(t), radius * np.cos(r)) for t in turn] for r in rise
+        [(radius * np.sin(r) * np.cos(t), radius * np.sin(r) * np.sin(t), radius * np.cos(r)) for t in turn]
+        for r in rise
     ]
     vertices = np.array([(0, 0, radius), *(p for row in ring for p in row), (0, 0, -radius)]) + center
     faces, last = [], len(vertices) - 1
@@ -130,7 +131,12 @@ def column_parts(center, radius, low, high, paint, segments=16, rings=12):
     height = np.linspace(low, high, rings + 1)
     vertices = [(center[0] + radius * np.cos(t), center[1] + radius * np.sin(t), z) for z in height for t in turn]
     faces = [
-        (r * segments + k, r * segments + (k + 1) % segments, (r + 1) * segments + (k + 1) % segments, (r + 1) * segments + k)
+        (
+            r * segments + k,
+            r * segments + (k + 1) % segments,
+            (r + 1) * segments + (k + 1) % segments,
+            (r + 1) * segments + k,
+        )
         for r in range(rings)
         for k in range(segments)
     ]
@@ -184,7 +190,9 @@ def cornell_box():
     ceiling = place((556, 548.8, 559.2), (0, 548.8, 559.2), (0, 548.8, 0), (556, 548.8, 0))
     # Grid lines of the ceiling run along the lamp's edges: x 213..343, z 227..332.
     across = np.concatenate([np.linspace(0, 213, 14)[:-1], np.linspace(213, 343, 9)[:-1], np.linspace(343, 556, 14)])
-    deep = np.concatenate([np.linspace(0, 227.2, 15)[:-1], np.linspace(227.2, 332.2, 7)[:-1], np.linspace(332.2, 559.2, 15)])
+    deep = np.concatenate(
+        [np.linspace(0, 227.2, 15)[:-1], np.linspace(227.2, 332.2, 7)[:-1], np.linspace(332.2, 559.2, 15)]
+    )
     u, v = across / 556, deep / 559.2
     hole = (u[13], u[21], v[14], v[20])
 
@@ -250,7 +258,9 @@ def sunlit_room():
         parts.append((*grid((b, -t, 0.9), (b, -t, 2.3), (b, 0, 2.3), (b, 0, 0.9)), white))
     add_mesh("window wall", parts)
     add_mesh("shell", box_parts((-t, -t, h), (w + t, d + t, h + t), 0.5, white, "xXyYZ"))
-    add_mesh("ground", [(*quad_grid(((-8, -14, -0.02), (14, -14, -0.02), (14, -t, -0.02), (-8, -t, -0.02)), 44, 28), earth)])
+    add_mesh(
+        "ground", [(*quad_grid(((-8, -14, -0.02), (14, -14, -0.02), (14, -t, -0.02), (-8, -t, -0.02)), 44, 28), earth)]
+    )
 
     add_mesh("table top", box_parts((2.2, 1.6, 0.7), (3.8, 2.5, 0.75), 0.1, wood))
     for k, (x, y) in enumerate(((2.25, 1.65), (3.7, 1.65), (2.25, 2.4), (3.7, 2.4))):
@@ -272,7 +282,11 @@ def hall():
     """A hall of some 50 objects under six ceiling panels."""
     new_scene("Hall")
     plaster, stone = material("plaster", (0.78, 0.76, 0.72)), material("stone", (0.45, 0.43, 0.4))
-    wood, red, green = material("oak", (0.45, 0.3, 0.17)), material("red", (0.6, 0.1, 0.08)), material("green", (0.12, 0.4, 0.2))
+    wood, red, green = (
+        material("oak", (0.45, 0.3, 0.17)),
+        material("red", (0.6, 0.1, 0.08)),
+        material("green", (0.12, 0.4, 0.2)),
+    )
     panel = material("panel", emission=(1.0, 0.93, 0.84), strength=14.0)
     w, d, h = 18.0, 12.0, 5.0
     cell = 0.255
@@ -309,7 +323,9 @@ def hall():
     for k in range(8):
         x, y = 4.0 + 3.3 * (k % 4), 4.2 + 3.4 * (k // 4)
         add_mesh(f"table {k + 1}", box_parts((x, y, 0.72), (x + 1.8, y + 0.8, 0.78), 0.15, wood))
-        add_mesh(f"table base {k + 1}", box_parts((x + 0.7, y + 0.25, 0), (x + 1.1, y + 0.55, 0.72), 0.12, wood, "xXyY"))
+        add_mesh(
+            f"table base {k + 1}", box_parts((x + 0.7, y + 0.25, 0), (x + 1.1, y + 0.55, 0.72), 0.12, wood, "xXyY")
+        )
         add_mesh(f"bench {k + 1}", box_parts((x, y - 0.7, 0), (x + 1.8, y - 0.35, 0.45), 0.15, wood, "xXyYZ"))
     for k in range(5):
         place = (4.6 + 3.3 * (k % 4), 4.6 + 3.4 * (k // 4), 0.78 + 0.16)

@@ -15,7 +15,6 @@ import time
 
 import bpy
 import numpy as np
-
 from cell_radiosity.addon.read_scene import read_scene
 from cell_radiosity.core.layers import vertex_means
 from cell_radiosity.core.raycast import RayCaster
@@ -78,7 +77,9 @@ def vertex_facts(scene):
     for sign in (1.0, -1.0):
         for x, y, z in local:
             direction = x * t1 + y * t2 + sign * z * mean
-            triangle, _, _, distance, _ = caster.hits(caster.start(scene.vertices, sign * mean), direction.astype(np.float32))
+            triangle, _, _, distance, _ = caster.hits(
+                caster.start(scene.vertices, sign * mean), direction.astype(np.float32)
+            )
             own = (scene.triangles[triangle] == np.arange(count)[:, None]).any(axis=1)
             crowded |= (triangle >= 0) & (distance < NEAR) & ~own
     return np.bincount(vertex, (area / size)[polygon], count), (bend > FLAT) & ~rim & ~crowded
@@ -95,7 +96,10 @@ def main():
     area, interior = vertex_facts(scene)
     wall, cpu = time.perf_counter(), time.process_time()
     bakes = [bake_with_cycles(arguments.samples, seed) for seed in (1, 2)]
-    arrays = {"seconds": np.array([time.process_time() - cpu, time.perf_counter() - wall]), "samples": arguments.samples}
+    arrays = {
+        "seconds": np.array([time.process_time() - cpu, time.perf_counter() - wall]),
+        "samples": arguments.samples,
+    }
     for target in targets:
         mesh = bpy.data.objects[target.object].data
         vertex = scene.corner_vertex[target.first : target.last]
@@ -105,7 +109,9 @@ def main():
         arrays[f"{target.object}.A"] = area[first : first + count]
         arrays[f"{target.object}.mask"] = interior[first : first + count]
         for key, baked in zip(("EA", "EB"), bakes):
-            arrays[f"{target.object}.{key}"] = vertex_means(baked[target.object], corner_vertex, count).astype(np.float32)
+            arrays[f"{target.object}.{key}"] = vertex_means(baked[target.object], corner_vertex, count).astype(
+                np.float32
+            )
     np.savez_compressed(arguments.output, **arrays)
     noise = [arrays[f"{t.object}.EA"] - arrays[f"{t.object}.EB"] for t in targets]
     print("rms difference", np.sqrt(np.mean(np.concatenate(noise) ** 2)), "seconds", arrays["seconds"])

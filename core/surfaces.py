@@ -1,0 +1,179 @@
+"""Surfaces: what patch sides and corners do with light.
+
+Owns the record `Surfaces` and everything that varies over a surface: image textures, and readings of shader graphs.
+Transport sees the mean over each patch; a layer that shows the surface's own color sees the value at the corner.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .patches import patch_of_hit
+from .sampling import GOLDEN, scatter
+
+LARGEST_REFLECTANCE = 0.999  # of reflectance and translucency together: more has no steady state in a closed room
+INSET = 0.02  # how far a corner's color is taken from inside its polygon, as a share of the way to the middle
+SAMPLES = 16  # of a texture, per cell of a facet's grid
+
+
+@dataclass(frozen=True)
+class Surfaces:
+    """What sides (2 N, 3) do with light: reflectance, translucency [-] and exitance [W/m^2], RGB.
+
+    sampled: (2 N,) bool, the exitance belongs to a source that is sampled, so rays must not find it again.
+    """
+
+    reflectance: np.ndarray
+    translucency: np.ndarray
+    exitance: np.ndarray
+    sampled: np.ndarray
+
+    @property
+    def found(self):
+        """(2 N, 3) exitance that rays find by meeting it [W/m^2]."""
+        return np.where(self.sampled[:, None], 0.0, self.exitance)
+
+    @property
+    def returned(self):
+        """(3,) largest share of light that any side sends on."""
+        return (self.reflectance + self.translucency).max(axis=0, initial=0.0)
+
+    def send(self, arriving):
+        """(2 N, 3) what sides send on of light (2 N, 3) that arrives on them: back, and through to the other side."""
+        sent = self.reflectance * arriving
+        if self.translucency.any():
+            sent += (self.translucency * arriving).reshape(-1, 2, 3)[:, ::-1].reshape(-1, 3)
+        return sent
+
+
+@dataclass(frozen=True)
+class Texture:
+    """An image as a surface's color. pixels: (height, width, 3) linear float32, row 0 at the bottom. repeat: beyond
+    0..1 it is repeated, else its rim is extended."""
+
+    name: str
+    pixels: np.ndarray
+    repeat: bool = True
+
+    def at(self, uv):
+        """(K, 3) nearest pixel at uv (K, 2); a uv that is not finite reads as 0."""
+        uv = np.nan_to_num(uv, nan=0.0, posinf=0.0, neginf=0.0)
+        uv = uv % 1.0 if self.repeat else np.clip(uv, 0.0, 1.0)
+        height, width = self.pixels.shape[:2]
+        column = np.minimum((uv[:, 0] * width).astype(np.int64), width - 1)
+        row = np.minimum((uv[:, 1] * height).astype(np.int64), height - 1)
+        return self.pixels[row, column].astype(float)
+
+
+@dataclass(frozen=True)
+class Readings:
+    """Colors read off surfaces whose graphs are not understood: at S places (triangle (S,), uv (S, 2) in it), and at
+    corners (K,). reflectance, exitance: (S, 3); corner_reflectance, corner_exitance: (K, 3)."""
+
+    triangle: np.ndarray
+    uv: np.ndarray
+    reflectance: np.ndarray
+    exitance: np.ndarray
+    corner: np.ndarray
+    corner_reflectance: np.ndarray
+    corner_exitance: np.ndarray
+
+
+def make_surfaces(scene, patches, sampled):
+    """The Surfaces of patches. sampled: (P,) bool, polygons whose light is sampled."""
+    material = scene.polygon_material[patches.polygon]
+    reflectance, exitance, translucency = (
+        _of_materials(scene, n)[material] for n in ("reflectance", "exitance", "translucency")
+    )
+    _paint(scene, patches, reflectance, exitance)
+    excess = np.maximum((reflectance + translucency) / LARGEST_REFLECTANCE, 1.0)
+    parts = (np.repeat(x, 2, axis=0) for x in (reflectance / excess, translucency / excess, exitance))
+    return Surfaces(*parts, np.repeat(sampled[patches.polygon], 2))
+
+
+def corner_surfaces(scene, corner):
+    """Reflectance and exitance (K, 3) at corners (K,) of the scene."""
+    polygon = np.repeat(np.arange(len(scene.polygon_material)), np.diff(scene.polygon_start))[corner]
+    material = scene.polygon_material[polygon]
+    reflectance, exitance = _of_materials(scene, "reflectance")[material], _of_materials(scene, "exitance")[material]
+    for number, m in enumerate(scene.materials):
+        if m.texture is not None:
+            mine = material == number
+            uv = _inside(scene.corner_uv, polygon[mine], corner[mine], scene.polygon_start)
+            reflectance[mine] += np.asarray(m.tint) * scene.textures[m.texture].at(uv)
+    if scene.readings is not None:
+        place = np.full(len(scene.corner_vertex), -1)
+        place[scene.readings.corner] = np.arange(len(scene.readings.corner))
+        read = place[corner] >= 0
+        reflectance[read] = scene.readings.corner_reflectance[place[corner][read]]
+        exitance[read] = scene.readings.corner_exitance[place[corner][read]]
+    return _bounded(reflectance), exitance
+
+
+def _inside(corner_uv, polygon, corner, start):
+    """(K, 2) the uv of corners, moved a little into their polygons: on the rim of a texture the pixel is not certain."""
+    middle = np.add.reduceat(corner_uv, start[:-1], axis=0) / np.diff(start)[:, None]
+    return corner_uv[corner] + INSET * (middle[polygon] - corner_uv[corner])
+
+
+def _of_materials(scene, name):
+    """(M, 3) float64 a field of all materials."""
+    return _bounded(np.array([getattr(m, name) for m in scene.materials], float), name != "exitance")
+
+
+def _bounded(values, share=True):
+    """Shares of light within 0 and the largest that is allowed; light itself at least 0."""
+    return np.clip(np.nan_to_num(values), 0.0, LARGEST_REFLECTANCE if share else None)
+
+
+def _paint(scene, patches, reflectance, exitance):
+    """Set the reflectance and exitance (N, 3) of patches whose surfaces are textured or were read, in place."""
+    textured = [k for k, m in enumerate(scene.materials) if m.texture is not None]
+    if textured:
+        material = scene.polygon_material[scene.triangle_polygon]
+        mine = np.flatnonzero(np.isin(material, textured) & scene.usable)
+        triangle, uv = _spread(scene, patches, mine)
+        values = np.empty((len(triangle), 3))
+        for k in textured:
+            m, chosen = scene.materials[k], material[triangle] == k
+            corner = scene.corner_uv[scene.triangle_corner[triangle[chosen]]]
+            u, v = uv[chosen, :1], uv[chosen, 1:]
+            place = corner[:, 0] + u * (corner[:, 1] - corner[:, 0]) + v * (corner[:, 2] - corner[:, 0])
+            values[chosen] = np.asarray(m.reflectance) + np.asarray(m.tint) * scene.textures[m.texture].at(place)
+        _set_means(scene, patches, triangle, uv, _bounded(values), reflectance)
+    if scene.readings is not None:
+        read = scene.readings
+        _set_means(scene, patches, read.triangle, read.uv, _bounded(read.reflectance), reflectance)
+        _set_means(scene, patches, read.triangle, read.uv, np.maximum(read.exitance, 0.0), exitance)
+
+
+def _spread(scene, patches, triangles):
+    """Places spread over triangles (T',), more where they are cut into more patches: triangle (S,), uv (S, 2)."""
+    cells = patches.triangle_cell[triangles, 1] * patches.triangle_cell[triangles, 2]
+    count = SAMPLES * cells
+    owner = np.repeat(np.arange(len(triangles)), count)
+    number = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
+    u = (number + 0.5) / count[owner]
+    v = ((number + 0.5) * GOLDEN + scatter(triangles, 11)[owner]) % 1.0
+    fold = u + v > 1.0
+    return triangles[owner], np.stack([np.where(fold, 1 - u, u), np.where(fold, 1 - v, v)], axis=1)
+
+
+def _set_means(scene, patches, triangle, uv, values, result):
+    """Set rows of `result` (N, 3) to the mean of the values (S, 3) that lie on each patch; a patch of a touched polygon
+    without any gets its polygon's mean."""
+    uv = uv.astype(np.float32)
+    patch = patch_of_hit(patches, triangle, uv[:, 0], uv[:, 1])
+    own = _means(patch, values, len(patches))
+    whole = _means(scene.triangle_polygon[triangle], values, len(scene.polygon_material))
+    touched = ~np.isnan(whole[patches.polygon, 0])
+    result[touched] = np.where(np.isnan(own), whole[patches.polygon], own)[touched]
+
+
+def _means(owner, values, count):
+    """(count, 3) means of values (S, 3) by owner (S,); NaN where there is none."""
+    number = np.bincount(owner, minlength=count).astype(float)
+    number[number == 0] = np.nan
+    return np.stack([np.bincount(owner, values[:, c], count) for c in range(3)], axis=1) / number[:, None]
