@@ -15,9 +15,11 @@ from pathlib import Path
 
 import bpy
 
+from ..core.layers import LAYERS
 from ..core.report import write_json
 from ..core.settings import PRESETS
-from .job import LAYERS, Job, Options, Refused
+from .errors import Refused
+from .job import Job, Options
 from .progress import Bar, summary
 from .version import version
 
@@ -42,7 +44,8 @@ def main(argv):
         print("radiosity: cancelled", file=sys.stderr, flush=True)
         return 130
     finally:
-        signal.signal(signal.SIGINT, previous)
+        if previous is not None:  # None: a handler that is not Python's and cannot be put back
+            signal.signal(signal.SIGINT, previous)
 
 
 def percent(text):

@@ -9,16 +9,12 @@ from time import perf_counter
 
 from ..core.bake import bake
 from ..core.cells import make_cells
-from ..core.layers import LAYERS
 from ..core.report import make_report
 from ..core.settings import Settings
+from .errors import Refused
 from .read_scene import read_scene
 from .version import version
 from .write_result import check_names, remove_copies, write_result
-
-
-class Refused(Exception):
-    """The bake cannot start or cannot end well; the message names the object, what was found, and what to do."""
 
 
 @dataclass(frozen=True)
@@ -124,6 +120,3 @@ class Job:
         """End the cells, unless they were lent."""
         if self._owned:
             self.cells.stop()
-
-
-__all__ = ["LAYERS", "Job", "Options", "Refused", "default_cells"]

@@ -12,20 +12,17 @@ import bpy
 import numpy as np
 
 from ..core.layers import layer_colors, vertex_means
+from .errors import Refused
 from .marks import KEY, is_made, made_layers, mark, mark_layers
 
 
-class CannotWrite(Exception):
-    """The result has no place to go; the message says why and what to do."""
-
-
 def check_names(targets, layers):
-    """Raise CannotWrite if an attribute or UV map of a layer's name exists that is not ours."""
+    """Raise Refused if an attribute or UV map of a layer's name exists that is not ours."""
     for target in targets:
         mesh = bpy.data.objects[target.object].data
         for layer in layers:
             if layer in mesh.attributes and layer not in made_layers(mesh):
-                raise CannotWrite(
+                raise Refused(
                     f"{target.object}: it has an attribute {layer!r} that no bake made; rename it, or leave out that layer"
                 )
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from math import log
 from time import perf_counter, process_time
 
 import numpy as np
@@ -53,6 +54,13 @@ class Bake:
 
 def bake(scene, settings, cells):
     """Bake a scene: a generator that yields Progress and returns the Bake. cells: any `Cells`; they are left running."""
+    try:
+        return (yield from _bake(scene, settings, cells))
+    finally:
+        cells.clear()
+
+
+def _bake(scene, settings, cells):
     clock = _Clock(cells)
     found = survey(scene)
     clock.lap("survey")
@@ -104,7 +112,7 @@ def _each(generator, progress):
 
 def _of_round(done, settings, clock):
     """Progress of the transport: the bound falls about evenly in its logarithm."""
-    share = min(np.log(max(done.bound, 1e-12)) / np.log(settings.error / 10), 1.0) if done.bound < 1 else 0.0
+    share = min(log(max(done.bound, 1e-12)) / log(settings.error / 10), 1.0) if done.bound < 1 else 0.0
     return Progress("transport", float(share), clock.total(), clock.rays(), done.number, done.bound)
 
 

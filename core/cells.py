@@ -13,6 +13,7 @@ from __future__ import annotations
 import contextlib
 import multiprocessing
 import os
+import queue
 import runpy
 import signal
 import sys
@@ -80,6 +81,10 @@ class Cells:
         """Yield (id, result) of the tasks submitted, in the order they are done, until none is left."""
         raise NotImplementedError
 
+    def clear(self):
+        """Forget all tasks: queued ones are not run, results still to come are dropped."""
+        raise NotImplementedError
+
     def stop(self):
         """End all cells; nothing of theirs is left."""
         raise NotImplementedError
@@ -125,8 +130,12 @@ class LocalCells(Cells):
             self.usage.add("host", spent)
             yield number, result
 
-    def stop(self):
+    def clear(self):
         self._waiting.clear()
+        self._kept.clear()
+
+    def stop(self):
+        self.clear()
         self._kernel = Kernel({})
 
 
@@ -143,6 +152,7 @@ class ProcessCells(Cells):
         self._arrays = {}
         self._waiting = deque()
         self._cells = []
+        self._dropped = set()
         self._local = None
         try:
             for index in range(count):
@@ -155,7 +165,7 @@ class ProcessCells(Cells):
         changed = {k: a for k, a in arrays.items() if self._arrays.get(k) is not a}
         self._arrays.update(changed)
         for cell in self._cells:
-            self._send(cell, ("arrays", changed))
+            cell.send(("arrays", changed))
         if self._local:
             self._local.start(changed)
 
@@ -166,7 +176,7 @@ class ProcessCells(Cells):
         return self._next - 1
 
     def results(self):
-        while self._waiting or any(cell.tasks for cell in self._cells):
+        while self._waiting or any(cell.tasks.keys() - self._dropped for cell in self._cells):
             self._deal()
             if not self._cells:
                 yield from self._run_here()
@@ -181,8 +191,13 @@ class ProcessCells(Cells):
                 elif monotonic() - cell.heard > PATIENCE:
                     self._replace(cell)
 
-    def stop(self):
+    def clear(self):
         self._waiting.clear()
+        self._kept.clear()
+        self._dropped.update(number for cell in self._cells for number in cell.tasks)
+
+    def stop(self):
+        self.clear()
         for cell in self._cells:
             cell.end()
         self._cells = []
@@ -197,15 +212,10 @@ class ProcessCells(Cells):
             if not cell.tasks:
                 cell.heard = monotonic()
             cell.tasks[number] = task
-            self._send(cell, ("task", number, name, arguments))
-
-    def _send(self, cell, message):
-        # A cell that is gone is noticed, and replaced, when its pipe is read.
-        with contextlib.suppress(OSError):
-            cell.pipe.send(message)
+            cell.send(("task", number, name, arguments))
 
     def _receive(self, cell):
-        """(id, result) that a cell has sent, None for a mere sign of life or a cell that is gone."""
+        """(id, result) that a cell has sent; None for a sign of life, a dropped task or a cell that is gone."""
         try:
             kind, *rest = cell.pipe.recv()
         except (EOFError, OSError):
@@ -216,6 +226,9 @@ class ProcessCells(Cells):
             return None
         number, payload, spent = rest
         cell.tasks.pop(number, None)
+        if number in self._dropped:
+            self._dropped.remove(number)
+            return None
         if kind == "error":
             raise CellError(payload)
         self.usage.add(cell.process.pid, spent)
@@ -223,7 +236,8 @@ class ProcessCells(Cells):
 
     def _replace(self, cell):
         """Start a new cell in place of one that died or hangs, and deal its tasks again."""
-        tasks = list(cell.tasks.values())
+        tasks = [task for number, task in cell.tasks.items() if number not in self._dropped]
+        self._dropped.difference_update(cell.tasks)
         cell.end()
         self._waiting.extendleft(reversed(tasks))
         place = self._cells.index(cell)
@@ -238,7 +252,7 @@ class ProcessCells(Cells):
             del self._cells[place]
             self.note = f"no new cell could be started ({error}); its work was done in this process"
             return
-        self._send(fresh, ("arrays", self._arrays))
+        fresh.send(("arrays", self._arrays))
 
     def _run_here(self):
         """Do the waiting tasks in this process: no cell is left."""
@@ -257,25 +271,41 @@ class CellError(RuntimeError):
 
 
 class _Process:
-    """One cell: its process, the pipe to it, and the tasks it holds, {id: (id, name, arguments)}."""
+    """One cell: its process, the pipe to it, and the tasks it holds, {id: (id, name, arguments)}.
+
+    A thread writes to the pipe, so that a cell that does not read (it hangs, or is stopped) never blocks the host.
+    """
 
     def __init__(self, index):
         context = multiprocessing.get_context("spawn")
         self.index, self.tasks, self.heard = index, {}, monotonic()
         self.pipe, there = context.Pipe()
-        self.process = context.Process(
-            target=runpy.run_path, args=(BOOT, {"pipe": there}, "radiosity_cell"), daemon=True
-        )
+        entry = {"pipe": there}
+        self.process = context.Process(target=runpy.run_path, args=(BOOT, entry, "radiosity_cell"), daemon=True)
         with _empty_main():
             self.process.start()
         there.close()  # so that the pipe ends when the cell does
+        self._outbox = queue.SimpleQueue()
+        self._writer = threading.Thread(target=self._write, daemon=True)
+        self._writer.start()
+
+    def send(self, message):
+        """Send a message in its turn. A cell that is gone is noticed when its pipe is read."""
+        self._outbox.put(message)
 
     def end(self):
         """Kill the cell and wait until it is gone."""
-        self.pipe.close()
         if self.process.is_alive():
             self.process.kill()
         self.process.join()
+        self._outbox.put(None)
+        self._writer.join()
+        self.pipe.close()
+
+    def _write(self):
+        with contextlib.suppress(OSError):
+            while (message := self._outbox.get()) is not None:
+                self.pipe.send(message)
 
 
 def make_cells(count):

@@ -60,7 +60,7 @@ def gather(points, solution, surfaces, sky, diagonal, cells, settings):
         for name, values in result.items():
             found[name][start : start + len(values)] = values
         yield start + len(result["nearness"]), len(points)
-    reach = REACH * (64 / settings.gather_rays) ** 0.35 * diagonal
+    reach = REACH * np.sqrt(np.sqrt(64 / settings.gather_rays)) * diagonal
     indirect = smooth(points, found["indirect"], reach / np.maximum(found["nearness"], 1e-9))
     return Light(found["direct"], indirect)
 
@@ -162,7 +162,7 @@ def _direct(kernel, start, stop, rays, seed):
         state = np.where(weight[:, s] > 0, np.sign(seen[:, s]) + (seen[:, s] < weight[:, s]), -1)
         differs = (state[here] != state[there]) & (state[here] >= 0) & (state[there] >= 0)
         mixed = (state == 2) | (np.bincount(here, differs, len(ids)) > 0)
-        count = np.where(mixed, np.clip(PENUMBRA * rays * share[:, s] ** 0.8, 4, 2 * PENUMBRA * rays), 0)
+        count = np.where(mixed, np.clip(PENUMBRA * rays * np.sqrt(share[:, s]), 4, 2 * PENUMBRA * rays), 0)
         count = np.where(dim & (state >= 0), np.maximum(count, DIM_TESTS), count).astype(np.int64)
         more = np.flatnonzero(count[: stop - start])
         if len(more):

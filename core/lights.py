@@ -17,7 +17,7 @@ from .scene import newell_normals
 FLAT, BALL, SUN = 0, 1, 2  # kinds of source: a flat polygon, a point or spot lamp, a sun
 MOST_SOURCES = 32  # emitting faces beyond the strongest ones are found by the gather rays instead
 MOST_MERGED = 4096  # emitting polygons beyond this number are not merged into flat sources
-NEAR = 0.15  # a patch is near a source if it reaches further than this share of the distance to it
+NEAR = 0.08  # a patch is near a source if it reaches further than this share of the distance to it
 DISK_SIDES = 24  # of the polygon, equal in area, that stands for a disk or ellipse
 
 
@@ -100,8 +100,8 @@ def unoccluded(sources, s, position, normal):
     return factor
 
 
-def patch_irradiance(sources, caster, position, normal, a, b):
-    """(K, 3) mean direct irradiance [W/m^2] of K patches, from places (K, n, 3) on them.
+def patch_irradiance(sources, caster, centroid, position, normal, a, b):
+    """(K, 3) mean direct irradiance [W/m^2] of K patches, from their centroids (K, 3) and places (K, n, 3) on them.
 
     From each place one test ray goes to the place a, b (K, n) of every source. normal: (K, 3). A source gives Lambert's
     exact factor times the visible share, sum(weight seen) / sum(weight) over the test rays: with weights left out, or
@@ -111,7 +111,7 @@ def patch_irradiance(sources, caster, position, normal, a, b):
     total = np.zeros((count, 3))
     start = caster.start(position, normal[:, None])
     for s in range(len(sources)):
-        factor = _mean_factor(sources, s, position, normal)
+        factor = _mean_factor(sources, s, centroid, position, normal)
         lit = np.flatnonzero(factor > 0)
         if not len(lit):
             continue
@@ -163,15 +163,14 @@ def test_rays(sources, s, caster, position, normal, geometric, start, a, b):
     return weight, seen
 
 
-def _mean_factor(sources, s, position, normal):
-    """(K,) unoccluded irradiance per unit of strength: the mean over places (K, n, 3)."""
+def _mean_factor(sources, s, centroid, position, normal):
+    """(K,) unoccluded irradiance per unit of strength, the mean over patches: at their centroids (K, 3), or the mean
+    over the places (K, n, 3) where these are far apart for their distance from the source."""
     places = position.shape[1]
-    center = position.mean(axis=1)
-    factor = unoccluded(sources, s, center, normal)
-    if places > 1 and sources.kind[s] != SUN:
-        # Where the places are far apart for their distance from the source, they do not all get what their middle gets.
-        spread = np.sqrt(((position - center[:, None]) ** 2).sum(axis=-1).max(axis=1))
-        near = np.flatnonzero(spread > NEAR * _distance(sources, s, center))
+    factor = unoccluded(sources, s, centroid, normal)
+    if sources.kind[s] != SUN:
+        spread = np.sqrt(((position - centroid[:, None]) ** 2).sum(axis=-1).max(axis=1))
+        near = np.flatnonzero(spread > NEAR * _distance(sources, s, centroid))
         flat = position[near].reshape(-1, 3)
         factor[near] = unoccluded(sources, s, flat, np.repeat(normal[near], places, axis=0)).reshape(-1, places).mean(1)
     return factor

@@ -32,7 +32,8 @@ def light_patches(kernel, sides, samples, seed):
     for part in blocks(len(sides), samples):
         a, b, *place = _shifted(sides[part], samples, seed, DIRECT)
         position, normal = _places(kernel, sides[part], *place)
-        direct[part] = patch_irradiance(kernel.sources, kernel.caster, position, normal, a, b)
+        centroid = kernel.patches.centroid[sides[part] >> 1]
+        direct[part] = patch_irradiance(kernel.sources, kernel.caster, centroid, position, normal, a, b)
     return {"direct": direct}
 
 

@@ -5,6 +5,7 @@ python sample_scenes/make.py [NAME ...]
 
 from __future__ import annotations
 
+import itertools
 import sys
 from pathlib import Path
 
@@ -50,7 +51,7 @@ def quad_grid(corners, columns, rows, skip=None):
 def lines(length, stops, cell):
     """Grid lines from 0 to length that run through all stops, about a cell apart."""
     stops = np.unique(np.concatenate([[0.0, length], stops]))
-    parts = [np.linspace(a, b, max(round((b - a) / cell), 1) + 1)[:-1] for a, b in zip(stops, stops[1:])]
+    parts = [np.linspace(a, b, max(round((b - a) / cell), 1) + 1)[:-1] for a, b in itertools.pairwise(stops)]
     return np.concatenate([*parts, [length]])
 
 

@@ -1,0 +1,177 @@
+"""Cells: the same bits however many there are, and whatever happens to them."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from scenes import Lamp, Material, Settings, World, bake, box, icosphere, join_meshes, run
+
+from cell_radiosity.core.cells import CellError, LocalCells, make_cells
+
+SETTINGS = Settings(gather_rays=64, row_rays=16)
+
+
+def furnished(n=6):
+    """A colored room with a block, a ball, a lamp and an emitting ceiling."""
+    materials = [Material("w", (0.7, 0.7, 0.7)), Material("r", (0.6, 0.1, 0.1)), Material("e", (0, 0, 0), (2, 2, 1))]
+    return join_meshes(
+        [
+            box(n=n, materials={"x": 1, "Z": 2}),
+            box("block", (0.2, 0.2, 0.0), (0.5, 0.5, 0.4), 3, False),
+            icosphere("ball", 0.15, 2, False),
+        ],
+        materials,
+        [Lamp("point", (0.2, 0.3, 0.4), (0.8, 0.7, 0.8), radius=0.05)],
+        World((0.1, 0.1, 0.2)),
+    )
+
+
+def same(a, b):
+    return np.array_equal(a.light.direct, b.light.direct) and np.array_equal(a.light.indirect, b.light.indirect)
+
+
+@pytest.fixture(scope="module")
+def expected():
+    return run(bake(furnished(), SETTINGS, LocalCells()))
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_any_number_of_cells_gives_the_same_bits(expected, count):
+    with make_cells(count) as cells:
+        assert cells.count == count
+        assert not cells.note
+        result = run(bake(furnished(), SETTINGS, cells))
+    assert same(result, expected)
+    assert result.rays == expected.rays
+
+
+@pytest.mark.parametrize("phase", ["patches", "transport", "gather"])
+@pytest.mark.parametrize("victims", [1, 2])
+def test_killed_cells_are_replaced(expected, phase, victims):
+    """kill -9 of one cell or of all, while they have work: the same bits, and the count tells."""
+    with make_cells(2) as cells:
+        killed = []
+
+        def kill(progress):
+            if progress.phase == phase and not killed:
+                killed.extend(c.process.pid for c in cells._cells[:victims])
+                for pid in killed:
+                    os.kill(pid, signal.SIGKILL)
+
+        result = run(bake(furnished(12), Settings(gather_rays=512), cells), kill)
+        assert len(killed) == victims
+    assert same(result, run(bake(furnished(12), Settings(gather_rays=512), LocalCells())))
+    assert result.cells["restarted"] == victims
+
+
+def test_a_cell_that_hangs_is_replaced(expected, monkeypatch):
+    monkeypatch.setattr("cell_radiosity.core.cells.PATIENCE", 2.0)
+    with make_cells(2) as cells:
+        os.kill(cells._cells[1].process.pid, signal.SIGSTOP)
+        result = run(bake(furnished(), SETTINGS, cells))
+    assert same(result, expected)
+    assert result.cells["restarted"] == 1
+
+
+def test_without_a_python_the_work_is_done_here(expected, monkeypatch):
+    monkeypatch.setattr(sys, "executable", "")
+    with make_cells(2) as cells:
+        assert isinstance(cells, LocalCells)
+        result = run(bake(furnished(), SETTINGS, cells))
+    assert same(result, expected)
+    assert any(f.object == "cells" for f in result.survey.health)
+
+
+def test_cells_that_keep_dying_end_in_this_process(expected, monkeypatch):
+    with make_cells(2) as cells:
+        for cell in cells._cells:
+            cell.process.kill()
+        monkeypatch.setattr("cell_radiosity.core.cells._Process", lambda index: (_ for _ in ()).throw(OSError("no more")))
+        result = run(bake(furnished(), SETTINGS, cells))
+    assert same(result, expected)
+    assert "no more" in cells.note
+
+
+def test_an_error_in_a_task_reaches_the_host(cells):
+    small = run(bake(furnished(2), SETTINGS, cells))
+    cells.submit("rows", sides=np.array([10**9]), rays=4, seed=0)
+    with pytest.raises(CellError, match="IndexError"):
+        list(cells.results())
+    cells.clear()
+    assert same(run(bake(furnished(2), SETTINGS, cells)), small)
+
+
+def test_a_bake_that_is_given_up_leaves_no_trace(cells, expected):
+    """Its tasks are dropped, and the next bake with the same cells is what it would have been."""
+    steps = bake(furnished(12), Settings(gather_rays=2048), cells)
+    while next(steps).phase != "gather":
+        pass
+    steps.close()
+    assert same(run(bake(furnished(), SETTINGS, cells)), expected)
+
+
+HOST = """
+import sys, time
+sys.path.insert(0, {tests!r})
+from test_cells import furnished
+from scenes import Settings, bake
+from cell_radiosity.core.cells import make_cells
+cells = make_cells(2)
+steps = bake(furnished(12), Settings(gather_rays=4096), cells)
+for progress in steps:
+    if progress.phase == "gather":
+        print(*[c.process.pid for c in cells._cells], flush=True)
+        {end}
+"""
+ENDS = {
+    "killed": "time.sleep(60)",
+    "exit": "sys.exit(0)",
+    "exception": "raise RuntimeError('as if')",
+    "crash": "import ctypes; ctypes.string_at(0)",
+}
+
+
+@pytest.mark.parametrize("end", ENDS)
+def test_no_cell_outlives_its_host(end):
+    code = HOST.format(tests=os.path.dirname(__file__), end=ENDS[end])
+    host = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    pids = [int(word) for word in host.stdout.readline().split()]
+    assert len(pids) == 2
+    if end == "killed":
+        host.kill()
+    host.wait()
+    deadline = time.monotonic() + 5
+    while any(alive(pid) for pid in pids) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not any(alive(pid) for pid in pids)
+
+
+def alive(pid):
+    try:
+        with open(f"/proc/{pid}/stat") as stat:
+            return stat.read().rsplit(")", 1)[1].split()[0] not in "ZX"
+    except OSError:
+        return False
+
+
+def test_a_dead_cell_does_not_end_a_host_that_has_sigpipe_at_its_default():
+    """Some Blenders leave SIGPIPE at its default: a write to a dead cell would end the whole program."""
+    code = (
+        "import signal; signal.signal(signal.SIGPIPE, signal.SIG_DFL)\n"
+        f"import sys; sys.path.insert(0, {os.path.dirname(__file__)!r})\n"
+        "from test_cells import furnished, SETTINGS\n"
+        "from scenes import bake, run\n"
+        "from cell_radiosity.core.cells import make_cells\n"
+        "cells = make_cells(2)\n"
+        "for c in cells._cells: c.process.kill(); c.process.join()\n"
+        "result = run(bake(furnished(2), SETTINGS, cells)); cells.stop()\n"
+        "print('restarted', result.cells['restarted'])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "restarted 2"

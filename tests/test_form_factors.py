@@ -1,0 +1,128 @@
+"""Form factors: Lambert's factor and sampled rows against the closed forms of the literature."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scenes import Mesh, join_meshes
+
+from cell_radiosity.core.kernel import scene_arrays
+from cell_radiosity.core.lights import make_sources
+from cell_radiosity.core.patches import make_patches
+from cell_radiosity.core.polygons import angle, polygon_factor
+
+SQUARE = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], float)
+RAYS = 1 << 14
+
+
+def raised(polygon, height):
+    return np.asarray(polygon, float) + (0, 0, height)
+
+
+def hinged(degrees):
+    turn = np.radians(degrees)
+    return SQUARE @ np.array([(np.cos(turn), 0, np.sin(turn)), (0, 1, 0), (0, 0, 1)])
+
+
+def disk(radius, height, sides=256):
+    turn = 2 * np.pi * np.arange(sides) / sides
+    return np.stack([radius * np.cos(turn), radius * np.sin(turn), np.full(sides, height)], axis=1)
+
+
+PAIRS = {
+    "opposed squares at 0.1": (SQUARE, raised(SQUARE, 0.1), 0.82699452239726),
+    "opposed squares at 0.5": (SQUARE, raised(SQUARE, 0.5), 0.41525328357715),
+    "opposed squares at 1": (SQUARE, raised(SQUARE, 1), 0.19982489569839),
+    "opposed squares at 2": (SQUARE, raised(SQUARE, 2), 0.06858958881855),
+    "opposed squares at 10": (SQUARE, raised(SQUARE, 10), 0.00316205683875),
+    "perpendicular squares, common edge": (SQUARE, hinged(90), 0.20004377607540),
+    "perpendicular strip of 0.1": (SQUARE, hinged(90) * (1, 1, 0.1), 0.04325136940069),
+    "hinged squares, 60 degrees": (SQUARE, hinged(60), 0.370905321150),
+    "hinged squares, 30 degrees": (SQUARE, hinged(30), 0.619028323091),
+    "coaxial disks 1, 1 at 1": (disk(1, 0), disk(1, 1), 0.38196601125011),
+    "coaxial disks 1, 2 at 1": (disk(1, 0), disk(2, 1), 0.76393202250021),
+    "coaxial disks 1, 0.5 at 2": (disk(1, 0), disk(0.5, 2), 0.04805898398896),
+    "triangle to triangle": ([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 0, 1), (0, 1, 1), (1, 0, 1)], 0.115049228150),
+    "triangle to tilted quad": ([(0, 0, 0), (1, 0, 0), (0, 1, 0)], [(0, 0, 1), (0, 1, 1), (1, 1, 2), (1, 0, 2)], 0.120091316468),
+    "square to tilted triangle": (SQUARE, [(2, 0, 0.5), (1.5, 0.5, 2), (2, 1, 1)], 0.037995400399),
+    "squares that touch in a corner": (SQUARE, [(0, 1, 0), (0, 2, 0), (0, 2, 1), (0, 1, 1)], 0.040592230102),
+}  # fmt: skip
+
+
+def sent(cells, shooter, *others):
+    """Share of a shooter's light (front side) that arrives on each of other polygons, by a row of many rays."""
+    meshes = [Mesh.of_polygons(str(k), p, [list(range(len(p)))]) for k, p in enumerate((shooter, *others))]
+    scene = join_meshes(meshes)
+    patches = make_patches(scene)
+    cells.start(scene_arrays(scene, patches, make_sources(scene)[0]))
+    (result,) = cells.take([cells.submit("rows", sides=np.array([0]), rays=RAYS, seed=3)])
+    hits = result["hits"][0]
+    return [float((hits >> 1 == k).mean()) for k in range(1, len(meshes))]
+
+
+@pytest.mark.parametrize("name", PAIRS)
+def test_row_of_a_pair(cells, name):
+    """A row's entry is the pair's form factor, within four standard deviations of independent rays."""
+    shooter, receiver, expected = PAIRS[name]
+    (found,) = sent(cells, shooter, receiver)
+    assert abs(found - expected) < 4 * np.sqrt(expected * (1 - expected) / RAYS)
+
+
+def test_row_with_an_obstruction(cells):
+    """Opposed unit squares with a plate of half their size between them (FACET's case)."""
+    plate = np.array([(0.25, 0.25, 0.75), (0.75, 0.25, 0.75), (0.75, 0.75, 0.75), (0.25, 0.75, 0.75)])
+    _, found = sent(cells, SQUARE, plate, raised(SQUARE, 1))
+    assert abs(found - 0.115620602132) < 4 * np.sqrt(0.1156 * 0.8844 / RAYS)
+
+
+def test_rows_of_a_closed_cube_sum_to_one(cells):
+    faces = [SQUARE, raised(SQUARE, 1)] + [np.roll(SQUARE, k, axis=1) + np.eye(3)[k - 1] * s for k in (1, 2) for s in (0, 1)]
+    assert sum(sent(cells, *faces)) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("point", "expected"),
+    [
+        ((0, 0, -1), 0.13853160599489),
+        ((0.5, 0.5, -1), 0.23945647046077),
+    ],
+)
+def test_element_to_square(point, expected):
+    factor = polygon_factor(np.array([point], float), np.array([(0.0, 0, 1)]), SQUARE)
+    assert factor[0] == pytest.approx(expected, abs=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("gap", "expected"), [(0.5, 0.190135882385), (0.1, 0.422544860239), (0.01, 0.492158952163), (1e-6, 0.499999215797)]
+)
+def test_element_on_the_floor_near_a_wall(gap, expected):
+    wall = np.array([(0, 0, 0), (0, 1, 0), (0, 1, 1), (0, 0, 1)], float)
+    factor = polygon_factor(np.array([(gap, 0.5, 0)]), np.array([(0.0, 0, 1)]), wall)
+    assert factor[0] == pytest.approx(expected, abs=1e-11)
+
+
+def test_factor_is_additive_where_the_horizon_cuts(rng):
+    """A polygon's factor is the sum of its parts' factors, also for points that see only some of it."""
+    corners = rng.normal(size=(500, 2))
+    whole = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], float)
+    middle = np.array([*corners[0].clip(-0.9, 0.9), 0.0])
+    points = rng.normal(size=(500, 3)) + (0, 0, 1.5)
+    normals = rng.normal(size=(500, 3))
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    parts = sum(polygon_factor(points, normals, np.array([whole[k], whole[(k + 1) % 4], middle])) for k in range(4))
+    np.testing.assert_allclose(parts, polygon_factor(points, normals, whole), atol=1e-12)
+
+
+def test_factor_degenerates_quietly():
+    """On a corner, on an edge, in the plane, with repeated corners: a finite factor between 0 and 1."""
+    points = np.array([(0, 0, 0), (0.5, 0, 0), (0.5, 0.5, 0), (3, 0, 0)], float)
+    up = np.tile((0.0, 0, 1), (4, 1))
+    factor = polygon_factor(points, up, SQUARE[[0, 0, 1, 2, 3]])
+    assert np.isfinite(factor).all()
+    assert ((factor >= 0) & (factor <= 1)).all()
+
+
+def test_angle_is_the_arctangent(rng):
+    sine, cosine = np.abs(rng.normal(size=100_000)), rng.normal(size=100_000)
+    np.testing.assert_allclose(angle(sine, cosine), np.arctan2(sine, cosine), atol=1e-15, rtol=4e-16)
+    assert angle(np.array([0.0, 0.0, 1.0, 0.0]), np.array([0.0, 1.0, 0.0, -1.0])).tolist() == [0, 0, np.pi / 2, np.pi]

@@ -1,0 +1,66 @@
+"""Build the extension's zip files into dist/, one per platform, each with the wheels of both Pythons of Blender.
+
+Blender's own tool builds and validates them; it comes with the bpy module.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+ROOT = Path(__file__).parent.parent
+PYTHONS = ("311", "313")
+PLATFORMS = {
+    "linux": ("manylinux_2_28_x86_64", "manylinux_2_27_x86_64", "manylinux2014_x86_64"),
+    "windows": ("win_amd64",),
+    "macos": ("macosx_13_0_arm64",),
+}
+
+
+def fetch_wheels(folder):
+    """Download every wheel of wheels.txt into a folder; checksums are checked by pip."""
+    for python in PYTHONS:
+        for names in PLATFORMS.values():
+            platforms = [word for name in names for word in ("--platform", name)]
+            subprocess.run(
+                [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-deps",
+                 "--only-binary=:all:", "--require-hashes", "--implementation", "cp", "--python-version", python,
+                 "--abi", f"cp{python}", "--abi", "none", *platforms, "-d", folder, "-r", ROOT / "wheels.txt"],
+                check=True,
+            )  # fmt: skip
+
+
+def blender_tool():
+    """Path of Blender's extension tool, as the bpy module brings it."""
+    code = "import bpy; print(bpy.utils.system_resource('SCRIPTS'))"
+    scripts = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()[
+        -1
+    ]
+    return Path(scripts) / "addons_core" / "bl_pkg" / "cli" / "blender_ext.py"
+
+
+def main():
+    wheels, dist = ROOT / "wheels", ROOT / "dist"
+    wheels.mkdir(exist_ok=True)
+    manifest = tomllib.loads((ROOT / "blender_manifest.toml").read_text())
+    listed = {Path(wheel).name for wheel in manifest["wheels"]}
+    if listed - {f.name for f in wheels.glob("*.whl")}:
+        fetch_wheels(wheels)
+    for wheel in wheels.glob("*.whl"):
+        if wheel.name not in listed:
+            wheel.unlink()
+    shutil.rmtree(dist, ignore_errors=True)
+    dist.mkdir()
+    tool = blender_tool()
+    build = ["build", "--source-dir", ROOT, "--output-dir", dist, "--split-platforms"]
+    subprocess.run([sys.executable, tool, *build], check=True)
+    for package in sorted(dist.glob("*.zip")):
+        subprocess.run([sys.executable, tool, "validate", package], check=True, stdout=subprocess.DEVNULL)
+        print(f"{package.relative_to(ROOT)}: {package.stat().st_size / 1e6:.1f} MB")
+
+
+if __name__ == "__main__":
+    main()
