@@ -131,7 +131,7 @@ def _flipped(scene, patches, solution, side):
         return np.zeros(len(scene.polygon_material), bool)
     if side == "back":
         return np.ones(len(scene.polygon_material), bool)
-    power = patches.area[:, None] * solution.irradiance.sum(axis=1).reshape(-1, 2)
+    power = patches.area[:, None] * solution.irradiance.sum(axis=0).reshape(-1, 2)
     front, back = (np.bincount(patches.polygon, power[:, k], len(scene.polygon_material)) for k in range(2))
     return back > front
 

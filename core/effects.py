@@ -42,7 +42,7 @@ class Survey:
     def after(self, scene, patches, solution, cells_note=""):
         """The survey with what only the bake shows: objects that are lit from behind, and cells that failed."""
         owner = scene.polygon_object[patches.polygon]
-        power = patches.area[:, None] * solution.irradiance.sum(axis=1).reshape(-1, 2)
+        power = patches.area[:, None] * solution.irradiance.sum(axis=0).reshape(-1, 2)
         front, back = (np.bincount(owner, power[:, k], len(scene.objects)) for k in range(2))
         behind = np.flatnonzero(scene.written & (front < DARK * back))
         faces = np.bincount(scene.polygon_object, minlength=len(scene.objects))

@@ -33,7 +33,8 @@ SMOOTH = 0.9510565162951535  # cosine of 18 degrees: the largest turn between po
 
 @dataclass(frozen=True)
 class Light:
-    """Irradiance at P points [W/m^2]: direct (P, 3) straight from sources, indirect (P, 3) reflected at least once."""
+    """Irradiance at P points [W/m^2], a row per color channel: direct (C, P) straight from sources, indirect (C, P)
+    reflected at least once."""
 
     direct: np.ndarray
     indirect: np.ndarray
@@ -42,56 +43,69 @@ class Light:
 def gather(points, solution, surfaces, sky, diagonal, cells, settings):
     """Find the Light at points: a generator that yields (points done, all points) and returns the Light.
 
-    sky: (3,) exitance of the world [W/m^2]; diagonal: of the scene [m]. cells: started with `kernel.scene_arrays`.
+    sky: (C,) exitance of the world [W/m^2]; diagonal: of the scene [m]. cells: started with `kernel.scene_arrays`.
     """
-    # What a ray brings: light reflected by the side it meets, and light that no sampled source stands for.
-    light = np.concatenate([solution.reflected, surfaces.found], axis=1)
-    beyond = np.concatenate([np.zeros(3), sky])
-    cells.start({**to_arrays("points", points), "gather.light": np.vstack([light, beyond])})
+    # What rays bring, with what comes from beyond last: reflected light, and light no sampled source stands for.
+    black = np.zeros_like(sky)
+    reflected, found = np.column_stack([solution.reflected, black]), np.column_stack([surfaces.found, sky])
+    cells.start(
+        {
+            **to_arrays("points", points),
+            "gather.reflected": reflected,
+            "gather.found": found if found.any() else np.zeros((len(sky), 0)),
+        }
+    )
     size = max(TASK_RAYS // (settings.gather_rays + TESTS), 1)
     starts = range(0, len(points), size)
     tasks = [
         cells.submit("gather", start=k, stop=min(k + size, len(points)), rays=settings.gather_rays, seed=settings.seed)
         for k in starts
     ]
-    found = {k: np.zeros((len(points), 3)) for k in ("direct", "indirect")} | {"nearness": np.zeros(len(points))}
+    direct, indirect = np.zeros((len(sky), len(points))), np.zeros((len(sky), len(points)))
+    nearness = np.zeros(len(points))
     for start, task in zip(starts, tasks):
         (result,) = cells.take([task])
-        for name, values in result.items():
-            found[name][start : start + len(values)] = values
-        yield start + len(result["nearness"]), len(points)
+        part = slice(start, start + len(result["nearness"]))
+        direct[:, part], indirect[:, part] = result["direct"], result["indirect"]
+        nearness[part] = result["nearness"]
+        yield part.stop, len(points)
     reach = REACH * np.sqrt(np.sqrt(64 / settings.gather_rays)) * diagonal
-    indirect = smooth(points, found["indirect"], reach / np.maximum(found["nearness"], 1e-9))
-    return Light(found["direct"], indirect)
+    return Light(direct, smooth(points, indirect, reach / np.maximum(nearness, 1e-9)))
 
 
 def gather_points(kernel, start, stop, rays, seed):
-    """Light at points start to stop: "direct", "indirect" (K, 3) [W/m^2], and "nearness" (K,), the mean inverse
+    """Light at points start to stop: "direct", "indirect" (C, K) [W/m^2], and "nearness" (K,), the mean inverse
     distance that their rays went, in scene diagonals."""
-    found = {"direct": _direct(kernel, start, stop, rays, seed), "indirect": np.empty((stop - start, 3))}
-    found["nearness"] = np.empty(stop - start)
-    light = kernel.arrays["gather.light"]
+    reflected, found = kernel.arrays["gather.reflected"], kernel.arrays["gather.found"]
+    direct = _direct(kernel, start, stop, rays, seed)
+    indirect, nearness = np.empty_like(direct), np.empty(stop - start)
     tables = _direction_tables(rays, seed)
     for part in blocks(stop - start, rays):
         ids = np.arange(start, stop)[part]
         normal, geometric = kernel.points.normal[ids], kernel.points.geometric[ids]
         origin = kernel.caster.start(kernel.points.position[ids], geometric)
-        x, y, z = _world_rays(tables, ids, normal, seed)
-        directions = np.stack([x.reshape(-1), y.reshape(-1), z.reshape(-1)]).T
-        side, _, distance = kernel.sides_hit(np.repeat(origin, rays, axis=0), directions)
-        arriving = np.take(light, side, axis=0, mode="wrap").reshape(len(ids), rays, 6)
-        if (normal != geometric).any():
-            arriving *= _above(x, y, z, geometric)[..., None]
-        mean = np.einsum("knc->kc", arriving) / rays
-        found["indirect"][part] = mean[:, :3]
-        found["direct"][part] += mean[:, 3:]
+        directions = _world_rays(tables, ids, normal, seed)
+        side, _, distance = kernel.sides_hit(np.repeat(origin, rays, axis=0), directions.reshape(3, -1).T)
+        above = _above(directions, geometric) if (normal != geometric).any() else None
+        indirect[:, part] = _mean_light(reflected, side, rays, above)
+        if found.size:
+            direct[:, part] += _mean_light(found, side, rays, above)
         near = 1.0 / np.maximum(distance, 1e-6).astype(float)
-        found["nearness"][part] = np.einsum("kn->k", near.reshape(-1, rays)) / rays
-    return found
+        nearness[part] = np.einsum("kn->k", near.reshape(-1, rays)) / rays
+    return {"direct": direct, "indirect": indirect, "nearness": nearness}
+
+
+def _mean_light(light, side, rays, above):
+    """(C, K) mean of what light (C, 2 N + 1) brings along the rays that met sides (K * n,); above: (K, n) bool, the
+    rays that count, or None for all."""
+    seen = (np.take(channel, side, mode="wrap").reshape(-1, rays) for channel in light)
+    if above is not None:
+        seen = (np.where(above, channel, 0.0) for channel in seen)
+    return np.stack([np.einsum("kn->k", channel) for channel in seen]) / rays
 
 
 def smooth(points, light, reach):
-    """Light (P, 3) with its noise diffused over the mesh edges, by steps that bend with it.
+    """Light (C, P) with its noise diffused over the mesh edges, by steps that bend with it.
 
     reach: (P,) how far light may be mixed [m]. Points whose normals differ by more than 18 degrees are not mixed. What
     the diffusion F does to the light itself is undone in part: the result is 2 F - F F.
@@ -104,15 +118,11 @@ def smooth(points, light, reach):
     share = np.minimum(reach[here], reach[there]) / np.maximum(distance, 1e-300)
     weight = np.minimum(1.0, share * share / 4) / np.maximum(degree[here], degree[there])
     weight[(points.normal[here] * points.normal[there]).sum(axis=1) < SMOOTH] = 0.0
-    alone = np.flatnonzero(np.diff(start) == 0)
-    run = start[:-1] - (start[:-1] == len(there))  # reduceat wants indices inside, also for the last empty runs
 
     def diffuse(light):
-        for _ in range(STEPS if len(there) else 0):
-            flow = weight[:, None] * (light[there] - light[here])
-            change = np.add.reduceat(flow, run, axis=0)
-            change[alone] = 0.0
-            light = light + change
+        for _ in range(STEPS):
+            flow = (weight * (channel[there] - channel[here]) for channel in light)
+            light = light + np.stack([np.bincount(here, channel, len(points)) for channel in flow])
         return light
 
     once = diffuse(light)
@@ -120,14 +130,14 @@ def smooth(points, light, reach):
 
 
 def _direct(kernel, start, stop, rays, seed):
-    """(K, 3) light of the sampled sources at points start to stop [W/m^2].
+    """(C, K) light of the sampled sources at points start to stop [W/m^2].
 
     All are tested a few times, with their neighbors outside the range; where a source is partly hidden, or hidden for
     one point and not for the next, more test rays follow.
     """
     points, sources = kernel.points, kernel.sources
     if not len(sources):
-        return np.zeros((stop - start, 3))
+        return np.zeros((sources.strength.shape[1], stop - start))
     here, there = _pairs(points, start, stop)
     outside = np.unique(there[(there < start) | (there >= stop)])
     ids = np.concatenate([np.arange(start, stop), outside])
@@ -170,7 +180,7 @@ def _direct(kernel, start, stop, rays, seed):
             weight[more, s] += extra[0]
             seen[more, s] += extra[1]
     arriving = (factor * visible_share(seen, weight))[: stop - start]
-    return np.einsum("ks,sc->kc", arriving, sources.strength)
+    return np.einsum("ks,sc->ck", arriving, sources.strength)
 
 
 def _sharp(sources, s):
@@ -193,23 +203,25 @@ def _direction_tables(rays, seed):
 
 
 def _world_rays(tables, ids, normal, seed):
-    """Directions of the rays of points as x, y, z (K, n) float32: a table for each point, turned about its normal."""
+    """Directions (3, K, n) float32 of the rays of points: a table for each point, turned about its normal."""
     table = ((ids * R2[0]) % 1.0 * TABLES).astype(np.int64)
     turn = 2 * np.pi * ((ids * R2[1] + scatter(np.arange(1), GATHER + 8 * seed + 4)) % 1.0)
     t1, t2 = tangents(normal)
     cosine, sine = np.cos(turn)[:, None], np.sin(turn)[:, None]
     frame = np.stack([cosine * t1 + sine * t2, cosine * t2 - sine * t1, normal], axis=1).astype(np.float32)
     local = tables[table]
-    return tuple(
-        frame[:, 0, k, None] * local[:, 0] + frame[:, 1, k, None] * local[:, 1] + frame[:, 2, k, None] * local[:, 2]
-        for k in range(3)
-    )
+    directions = np.empty((3, *local[:, 0].shape), np.float32)
+    for k in range(3):
+        directions[k] = frame[:, 0, k, None] * local[:, 0]
+        directions[k] += frame[:, 1, k, None] * local[:, 1]
+        directions[k] += frame[:, 2, k, None] * local[:, 2]
+    return directions
 
 
-def _above(x, y, z, geometric):
-    """(K, n) bool: the rays that leave above the surface itself."""
+def _above(directions, geometric):
+    """(K, n) bool: the rays (3, K, n) that leave above the surface itself."""
     g = geometric.astype(np.float32)
-    return x * g[:, :1] + y * g[:, 1:2] + z * g[:, 2:] > 0
+    return directions[0] * g[:, :1] + directions[1] * g[:, 1:2] + directions[2] * g[:, 2:] > 0
 
 
 def _test_places(ids, number, s, seed):

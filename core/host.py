@@ -18,8 +18,9 @@ import numpy as np
 TASK_RAYS = 1 << 16  # of one task: some 10 to 30 ms
 LAG = 3  # batches in flight; a batch is picked from the state that so many batches before it left
 BATCH = 4096  # sides of a batch at least, and a share of those that wait
-BATCH_SHARE = 0.25
-SWEEPS = 20_000  # of the final solve, at most
+BATCH_SHARE = 0.5
+KRYLOV = 8  # directions that the solve combines at a time
+SWEEPS = 2000  # of the solve, at most
 
 
 @dataclass(frozen=True)
@@ -37,10 +38,11 @@ class Round:
 
 @dataclass(frozen=True)
 class Solution:
-    """What phase 1 found, per side (2 N, 3), RGB in W/m^2.
+    """What phase 1 found, (C, 2 N) per channel and side, in W/m^2.
 
     reflected: light sent back or through, what gather rays read. irradiance: light arriving. rounds: tuple of Round.
-    bound: certified bound on the largest error of `irradiance`, as a share of its mean. energy: {name: W}, sums of RGB.
+    sweeps: over all rows. bound: certified bound on the largest error of `irradiance`, as a share of its mean.
+    energy: {name: W}, sums of the channels.
     """
 
     reflected: np.ndarray
@@ -56,7 +58,7 @@ class Rows:
     """Form-factor rows that were kept: hits (K, n) of sides (K,), in the order they came; -1 is a ray that escaped."""
 
     def __init__(self, count, rays):
-        self.rays = rays
+        self.count, self.rays = count, rays
         self.sides = np.zeros(0, np.int64)
         self.hits = np.zeros((0, rays), np.int32)
         self.kept = np.zeros(count, bool)
@@ -66,27 +68,26 @@ class Rows:
         self.kept[sides] = True
 
     def shoot(self, power, start=0):
-        """(2 N, 3) power that arrives on all sides, and (3,) that escapes, when rows from `start` on send power (K, 3)."""
-        beyond = len(self.kept)
-        target = self.hits[start:].reshape(-1)
-        target = np.where(target < 0, beyond, target)
-        each = np.repeat(power / self.rays, self.rays, axis=0)
-        arrived = np.stack([np.bincount(target, each[:, c], beyond + 1) for c in range(3)], axis=1)
-        return arrived[:-1], arrived[-1]
+        """Power (C, 2 N) that arrives on all sides and (C,) that escapes, when rows from `start` on send power (C, K)."""
+        target = self.hits[start:].reshape(-1) + 1  # escaped rays are counted first
+        each = np.repeat(power / self.rays, self.rays, axis=1)
+        arrived = np.stack([np.bincount(target, channel, self.count + 1) for channel in each])
+        return arrived[:, 1:], arrived[:, 0]
 
     def gather(self, light, beyond):
-        """(K, 3) irradiance of the rows' sides, from light (2 N, 3) of the sides that they hit and (3,) from beyond."""
-        light = np.vstack([light, beyond])
-        seen = np.take(light, self.hits.reshape(-1), axis=0, mode="wrap").reshape(-1, self.rays, 3)
-        return np.einsum("knc->kc", seen) / self.rays
+        """(C, K) irradiance of the rows' sides, from light (C, 2 N) of the sides they hit and (C,) from beyond."""
+        light = np.column_stack([light, beyond])
+        hits = self.hits.reshape(-1)
+        seen = (np.take(channel, hits, mode="wrap").reshape(-1, self.rays) for channel in light)
+        return np.stack([np.einsum("kn->k", channel) for channel in seen]) / self.rays
 
     def escaped(self, start=0):
-        """(K, 1) share of the rays that escaped, of the rows from `start` on."""
-        return (self.hits[start:] < 0).sum(axis=1, keepdims=True) / self.rays
+        """(K,) share of the rays that escaped, of the rows from `start` on."""
+        return (self.hits[start:] < 0).sum(axis=1) / self.rays
 
 
 class Transport:
-    """Where light is and where it goes: power [W] per side (2 N, 3), kept in balance by every step.
+    """Where light is and where it goes: power [W] per channel and side (C, 2 N), in balance after every step.
 
     Power that is emitted (by faces that rays find) or arrives first-hand is `emitted`. What arrives on a side is
     partly absorbed; the rest is `unshot` until the side's row sends it on to other sides or out of the scene.
@@ -94,37 +95,30 @@ class Transport:
     """
 
     def __init__(self, area, surfaces, direct, sky, rays):
-        self.area, self.surfaces, self.sky = np.repeat(area, 2)[:, None], surfaces, sky
+        self.area, self.surfaces, self.sky = np.repeat(area, 2), surfaces, np.asarray(sky, float)[:, None]
         self.direct = direct
-        self.rows = Rows(len(direct), rays)
+        self.rows = Rows(direct.shape[1], rays)
+        self.own = self.area * surfaces.found
         self.first = self.area * direct  # power that arrived first-hand
         self.arrived = self.first.copy()
-        self.shot = np.zeros_like(direct)
-        self.escaped = np.zeros(3)
+        self.unshot = self.own + surfaces.send(self.arrived)
+        self.escaped = np.zeros(len(direct))
         # A side without a row may see all of the sky, for all we know: power it would send on then.
-        self.ahead = surfaces.send(self.area * sky * np.ones_like(direct))
-
-    @property
-    def own(self):
-        """(2 N, 3) power that sides emit and that rays find."""
-        return self.area * self.surfaces.found
+        self.ahead = surfaces.send(self.area * self.sky * np.ones_like(direct))
 
     @property
     def emitted(self):
-        return (self.own + self.first).sum(axis=0)
+        """(C,) power emitted so far."""
+        return self.own.sum(axis=1) + self.first.sum(axis=1)
 
     @property
     def absorbed(self):
-        returned = self.surfaces.reflectance + self.surfaces.translucency
-        return (self.arrived * (1.0 - returned)).sum(axis=0)
-
-    @property
-    def unshot(self):
-        return self.own + self.surfaces.send(self.arrived) - self.shot
+        """(C,) power absorbed so far."""
+        return (self.arrived * (1.0 - self.surfaces.returned)).sum(axis=1)
 
     def pick(self, taken):
         """The next batch: sides of highest unshot power without a row and not `taken` (2 N,) bool, ties by id."""
-        strength = np.where(self.rows.kept | taken, 0.0, (self.unshot + self.ahead).sum(axis=1))
+        strength = np.where(self.rows.kept | taken, 0.0, (self.unshot + self.ahead).sum(axis=0))
         waiting = np.flatnonzero(strength > 0)
         count = max(BATCH, int(BATCH_SHARE * len(waiting)))
         return waiting[np.argsort(-strength[waiting], kind="stable")[:count]]
@@ -133,62 +127,123 @@ class Transport:
         """Keep the rows of a batch; its sides take in the sky that they see, and shoot."""
         start = len(self.rows.sides)
         self.rows.add(sides, hits)
-        self.ahead[sides] = 0.0
+        self.ahead[:, sides] = 0.0
+        arrived = np.zeros_like(self.arrived)
         if self.sky.any():
-            seen = self.area[sides] * self.rows.escaped(start) * self.sky
-            self.first[sides] += seen
-            self.arrived[sides] += seen
-        power = self.unshot[sides]
-        self.shot[sides] += power
+            arrived[:, sides] = self.area[sides] * self.rows.escaped(start) * self.sky
+            self.first += arrived
+            self._receive(arrived)
+        power = self.unshot[:, sides]
+        self.unshot[:, sides] = 0.0
         arrived, escaped = self.rows.shoot(power, start)
-        self.arrived += arrived
         self.escaped = self.escaped + escaped
+        self._receive(arrived)
 
     def settle(self, target):
-        """Solve for the light that goes back and forth between sides with rows: each gathers over its own row, again
-        and again. Then what has been shot is what the solution says, and the sides without rows get their share.
-
-        Returns irradiance (2 N, 3), sweeps, and the certified bound on its error, as a share of its mean. Row sums are
-        at most 1, so if a sweep changes nothing by more than r, nothing is off by more than g / (1 - g) r.
+        """Solve for the light that goes back and forth between sides with rows: each gathers over its own row, until
+        the certified bound is below `target`. What has been shot is then what the solution says, and the sides without
+        rows get their share of it. Returns irradiance (C, 2 N), sweeps and bound.
         """
-        rows, sides = self.rows, self.rows.sides
+        rows, sides, surfaces = self.rows, self.rows.sides, self.surfaces
         irradiance = self.arrived / self.area
-        g = self.surfaces.returned
         sweeps, bound = 0, 0.0
-        while len(sides) and sweeps < SWEEPS:
-            light = self.surfaces.found + self.surfaces.send(irradiance)
-            updated = self.direct[sides] + rows.gather(light, self.sky)
-            change = np.abs(updated - irradiance[sides]).max(axis=0)
-            irradiance[sides] = updated
-            sweeps += 1
-            mean = (self.area[sides] * updated).sum(axis=0) / self.area[sides].sum()
-            bound = float((g / (1 - g) * change / np.maximum(mean, 1e-300)).max(where=mean > 0, initial=0.0))
-            if bound <= target:
-                break
-        power = (self.area * (self.surfaces.found + self.surfaces.send(irradiance)))[sides]
-        self.shot[sides] = power
-        arrived, self.escaped = rows.shoot(power)
+        if len(sides):
+            arriving = irradiance.copy()
+
+            def update(values):
+                arriving[:, sides] = values
+                return self.direct[:, sides] + rows.gather(surfaces.found + surfaces.send(arriving), self.sky[:, 0])
+
+            largest = surfaces.returned[:, sides].max(axis=1)
+            values, sweeps, bound = fixed_point(update, irradiance[:, sides], largest, self.area[sides], target)
+            irradiance[:, sides] = values
+        sent = self.area * (surfaces.found + surfaces.send(irradiance))
+        arrived, self.escaped = rows.shoot(sent[:, sides])
         self.arrived = self.first + arrived
-        others = ~rows.kept
-        irradiance[others] = (self.arrived / self.area)[others]
+        self.unshot = self.own + surfaces.send(self.arrived)
+        self.unshot[:, sides] -= sent[:, sides]
+        irradiance[:, ~rows.kept] = (self.arrived / self.area)[:, ~rows.kept]
         return irradiance, sweeps, bound
 
     def missing(self):
         """Bounds on the power that has not arrived yet, as shares of the power emitted: what sides with rows have not
-        shot, and sides without. Light u still to be shot adds at most g / (1 - g) u (power norm, row sums at most 1)."""
-        g = self.surfaces.returned
-        emitted = max((self.emitted + self.ahead.sum(axis=0)).sum(), 1e-300)
+        shot, and sides without. Light u still to be shot adds at most g / (1 - g) u, g the largest share that a side
+        sends on (power norm: what a row sends sums to at most 1)."""
+        g = self.surfaces.returned.max(axis=1, initial=0.0)
         unshot = np.abs(self.unshot)
-        kept = self.rows.kept[:, None]
-        inside = (np.where(kept, unshot, 0.0).sum(axis=0) * g / (1 - g)).sum()
-        outside = (np.where(kept, 0.0, unshot).sum(axis=0) * g / (1 - g) + self.ahead.sum(axis=0) / (1 - g)).sum()
-        return inside / emitted, outside / emitted
+        everywhere, inside = unshot.sum(axis=1), unshot[:, self.rows.sides].sum(axis=1)
+        ahead = self.ahead.sum(axis=1)
+        emitted = max((self.emitted + ahead).sum(), 1e-300)
+        outside = (everywhere - inside) * g / (1 - g) + ahead / (1 - g)
+        return (inside * g / (1 - g)).sum() / emitted, max(outside.sum(), 0.0) / emitted
+
+    def _receive(self, power):
+        self.arrived += power
+        self.unshot += self.surfaces.send(power)
+
+
+def fixed_point(update, values, largest, weight, target):
+    """Solve values = update(values) for an affine update with row sums of at most `largest` (C,) < 1.
+
+    values: (C, K) start, weight: (K,). Returns values, the number of updates, and the certified bound on the largest
+    error as a share of the weighted mean: if an update changes nothing by more than r, nothing is off by more than
+    g / (1 - g) r. Updates alone converge by g a step; in between, the last few changes are combined so that the
+    residual is least (GMRES, Saad and Schultz 1986), which cannot diverge.
+    """
+    count = 0
+    while True:
+        updated = update(values)
+        count += 1
+        change = updated - values
+        mean = (weight * np.abs(updated)).sum(axis=1) / weight.sum()
+        error = largest / (1 - largest) * np.abs(change).max(axis=1)
+        bound = float(np.divide(error, mean, out=np.zeros_like(error), where=mean > 0).max())
+        if bound <= target or count >= SWEEPS:
+            return updated, count, bound
+        step, used = _least_residual(lambda d: update(values + d) - updated, change, target / max(bound, 1e-300))
+        values = values + step
+        count += used
+
+
+def _least_residual(apply, residual, goal):
+    """The step d (C, K) in a Krylov space for which the residual of d = apply(d) + residual is least, and the number
+    of times that the linear map `apply` was used. Stops early when the residual has shrunk to `goal` of itself."""
+    norm = first = float(np.sqrt((residual * residual).sum()))
+    if norm == 0.0:
+        return np.zeros_like(residual), 0
+    basis, triangle, turns, right = [residual / norm], [], [], [norm]
+    while len(triangle) < KRYLOV and abs(right[-1]) > goal * first:
+        vector = basis[-1] - apply(basis[-1])
+        column = []
+        for b in basis:
+            column.append(float((b * vector).sum()))
+            vector = vector - column[-1] * b
+        length = float(np.sqrt((vector * vector).sum()))
+        # Givens rotations keep the small least-squares problem triangular.
+        for k, (c, s) in enumerate(turns):
+            column[k], column[k + 1] = c * column[k] + s * column[k + 1], c * column[k + 1] - s * column[k]
+        radius = float(np.hypot(column[-1], length))
+        if radius == 0.0:
+            break
+        c, s = column[-1] / radius, length / radius
+        turns.append((c, s))
+        column[-1] = radius
+        triangle.append(column)
+        right[-1:] = [c * right[-1], -s * right[-1]]
+        if length <= 1e-14 * norm:
+            break
+        basis.append(vector / length)
+    share = []
+    for k in reversed(range(len(triangle))):
+        known = sum(triangle[k + 1 + i][k] * y for i, y in enumerate(share))
+        share.insert(0, (right[k] - known) / triangle[k][k])
+    return sum(y * b for y, b in zip(share, basis)) + np.zeros_like(residual), len(triangle)
 
 
 def solve(patches, surfaces, sky, cells, settings):
     """Find the Solution: a generator that yields a Round after every round and returns the Solution.
 
-    sky: (3,) exitance of the world [W/m^2]. cells: started with `kernel.scene_arrays`.
+    sky: (C,) exitance of the world [W/m^2]. cells: started with `kernel.scene_arrays`.
     """
     begun = perf_counter()
     count, target = 2 * len(patches), settings.error / 10
@@ -239,13 +294,13 @@ def solve(patches, surfaces, sky, cells, settings):
 
 
 def _light_patches(cells, count, settings):
-    """(2 N, 3) direct irradiance of all patch sides."""
+    """(C, 2 N) direct irradiance of all patch sides."""
     size = max(TASK_RAYS // settings.patch_samples, 1)
     tasks = [
         cells.submit("direct", sides=part, samples=settings.patch_samples, seed=settings.seed)
         for part in _parts(np.arange(count), size)
     ]
-    return np.concatenate([np.zeros((0, 3)), *(result["direct"] for result in cells.take(tasks))])
+    return np.concatenate([result["direct"] for result in cells.take(tasks)], axis=1)
 
 
 def _trace_rows(cells, sides, settings):

@@ -21,7 +21,7 @@ def layer_colors(bake, layer):
         raise ValueError(f"layer {layer!r} is not one of {', '.join(LAYERS)}")
     irradiance = parts[layer] if layer in parts else light.direct + light.indirect
     colors = np.zeros((len(scene.corner_vertex), 3))
-    colors[points.corner] = irradiance[points.corner_point]
+    colors[points.corner] = irradiance[:, points.corner_point].T
     if layer == "Radiosity":
         reflectance, exitance = corner_surfaces(scene, points.corner)
         colors[points.corner] = exitance + reflectance * colors[points.corner]

@@ -27,13 +27,13 @@ def trace_rows(kernel, sides, rays, seed):
 
 
 def light_patches(kernel, sides, samples, seed):
-    """{"direct": (K, 3)} mean irradiance [W/m^2] that the sources give patch sides (K,), from `samples` places each."""
-    direct = np.empty((len(sides), 3))
+    """{"direct": (C, K)} mean irradiance [W/m^2] that the sources give patch sides (K,), from `samples` places each."""
+    direct = np.empty((kernel.sources.strength.shape[1], len(sides)))
     for part in blocks(len(sides), samples):
         a, b, *place = _shifted(sides[part], samples, seed, DIRECT)
         position, normal = _places(kernel, sides[part], *place)
         centroid = kernel.patches.centroid[sides[part] >> 1]
-        direct[part] = patch_irradiance(kernel.sources, kernel.caster, centroid, position, normal, a, b)
+        direct[:, part] = patch_irradiance(kernel.sources, kernel.caster, centroid, position, normal, a, b).T
     return {"direct": direct}
 
 

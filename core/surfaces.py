@@ -7,6 +7,7 @@ Transport sees the mean over each patch; a layer that shows the surface's own co
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -20,32 +21,37 @@ SAMPLES = 16  # of a texture, per cell of a facet's grid
 
 @dataclass(frozen=True)
 class Surfaces:
-    """What sides (2 N, 3) do with light: reflectance, translucency [-] and exitance [W/m^2], RGB.
-
-    sampled: (2 N,) bool, the exitance belongs to a source that is sampled, so rays must not find it again.
+    """What sides do with light, (C, 2 N) each, a row per color channel: reflectance, translucency [-], and exitance
+    [W/m^2] in two parts: `sampled`, of faces that are sampled as sources, and `found`, which rays find by meeting it.
     """
 
     reflectance: np.ndarray
     translucency: np.ndarray
-    exitance: np.ndarray
     sampled: np.ndarray
+    found: np.ndarray
 
     @property
-    def found(self):
-        """(2 N, 3) exitance that rays find by meeting it [W/m^2]."""
-        return np.where(self.sampled[:, None], 0.0, self.exitance)
+    def exitance(self):
+        """(C, 2 N) all light that sides emit [W/m^2]."""
+        return self.sampled + self.found
 
-    @property
+    @cached_property
     def returned(self):
-        """(3,) largest share of light that any side sends on."""
-        return (self.reflectance + self.translucency).max(axis=0, initial=0.0)
+        """(C, 2 N) share of light that sides send on."""
+        return self.reflectance + self.translucency
 
     def send(self, arriving):
-        """(2 N, 3) what sides send on of light (2 N, 3) that arrives on them: back, and through to the other side."""
+        """(C, 2 N) what sides send on of light (C, 2 N) that arrives on them: back, and through to the other side."""
         sent = self.reflectance * arriving
-        if self.translucency.any():
-            sent += (self.translucency * arriving).reshape(-1, 2, 3)[:, ::-1].reshape(-1, 3)
+        if self._thin:
+            through = self.translucency * arriving
+            sent[:, 0::2] += through[:, 1::2]
+            sent[:, 1::2] += through[:, 0::2]
         return sent
+
+    @cached_property
+    def _thin(self):
+        return bool(self.translucency.any())
 
 
 @dataclass(frozen=True)
@@ -89,8 +95,9 @@ def make_surfaces(scene, patches, sampled):
     )
     _paint(scene, patches, reflectance, exitance)
     excess = np.maximum((reflectance + translucency) / LARGEST_REFLECTANCE, 1.0)
-    parts = (np.repeat(x, 2, axis=0) for x in (reflectance / excess, translucency / excess, exitance))
-    return Surfaces(*parts, np.repeat(sampled[patches.polygon], 2))
+    own = sampled[patches.polygon][:, None]
+    parts = (reflectance / excess, translucency / excess, np.where(own, exitance, 0.0), np.where(own, 0.0, exitance))
+    return Surfaces(*(np.repeat(part.T, 2, axis=1) for part in parts))
 
 
 def corner_surfaces(scene, corner):

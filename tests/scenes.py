@@ -98,14 +98,14 @@ class Solved:
 
     @property
     def radiosity(self):
-        """(2 N, 3) all light that leaves the sides."""
+        """(C, 2 N) all light that leaves the sides."""
         return self.solution.reflected + self.surfaces.exitance
 
     def mean(self, values, polygons=None, side=0):
-        """Area-weighted mean (3,) of values (2 N, 3) over the patches of some polygons, on one side."""
+        """Area-weighted mean (C,) of values (C, 2 N) over the patches of some polygons, on one side."""
         chosen = np.ones(len(self.patches), bool) if polygons is None else np.isin(self.patches.polygon, polygons)
-        area = self.patches.area[chosen, None]
-        return (area * values[side::2][chosen]).sum(axis=0) / area.sum()
+        area = self.patches.area[chosen]
+        return (area * values[:, side::2][:, chosen]).sum(axis=1) / area.sum()
 
 
 def solve_scene(scene, cells, edge=None, found=False, **settings):
@@ -123,7 +123,7 @@ def solve_scene(scene, cells, edge=None, found=False, **settings):
 
 
 def point_light(baked, places):
-    """(K, 3) irradiance at the points of a Bake that are nearest to places (K, 3)."""
-    light = baked.light.direct + baked.light.indirect
+    """(K, C) irradiance at the points of a Bake that are nearest to places (K, 3)."""
+    light = (baked.light.direct + baked.light.indirect).T
     gap = ((baked.points.position[None] - np.asarray(places, float)[:, None]) ** 2).sum(-1)
     return light[gap.argmin(axis=1)]

@@ -4,8 +4,8 @@
 
 OUT.npz holds for each mesh object NAME, at its n vertices: NAME.A (n,) area [m^2]; NAME.mask (n,) bool, interior
 vertices: not on a crease or an open edge, with nothing else within 1e-3 of the scene's diagonal; NAME.EA and NAME.EB
-(n, 3) irradiance / pi from two bakes with other seeds, so that their noise cancels from a measured error. seconds: (2,)
-CPU and wall seconds of both bakes; samples: of each.
+(n, 3) irradiance / pi from two bakes with other seeds, so that their noise cancels from a measured error.
+Objects that reflect nothing are left out: Cycles bakes 0 there.
 """
 
 from __future__ import annotations
@@ -85,6 +85,11 @@ def vertex_facts(scene):
     return np.bincount(vertex, (area / size)[polygon], count), (bend > FLAT) & ~rim & ~crowded
 
 
+def baked_light(bakes, name):
+    """Whether an object got any light."""
+    return any(b[name].any() for b in bakes)
+
+
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("scene")
@@ -101,6 +106,8 @@ def main():
         "samples": arguments.samples,
     }
     for target in targets:
+        if not baked_light(bakes, target.object):
+            continue
         mesh = bpy.data.objects[target.object].data
         vertex = scene.corner_vertex[target.first : target.last]
         first, count = vertex.min(), len(mesh.vertices)
@@ -113,8 +120,8 @@ def main():
                 np.float32
             )
     np.savez_compressed(arguments.output, **arrays)
-    noise = [arrays[f"{t.object}.EA"] - arrays[f"{t.object}.EB"] for t in targets]
-    print("rms difference", np.sqrt(np.mean(np.concatenate(noise) ** 2)), "seconds", arrays["seconds"])
+    noise = [arrays[f"{t.object}.EA"] - arrays[f"{t.object}.EB"] for t in targets if f"{t.object}.EA" in arrays]
+    print("rms difference", np.sqrt(np.mean(np.concatenate(noise) ** 2)), f"{cpu:.0f} CPU s, {wall:.0f} s")
 
 
 if __name__ == "__main__":
