@@ -67,7 +67,7 @@ def read_material(material, object, ignored):
     if output is None:
         return viewport_material(material), None
     graph = Graph()
-    surface = _shader(output.inputs["Surface"], graph)
+    surface = _shader(_shown_socket(output, material.node_tree), graph)
     if output.inputs["Volume"].is_linked:
         graph.notes.append("its volume is left out")
     if output.inputs["Displacement"].is_linked:
@@ -86,6 +86,29 @@ def read_material(material, object, ignored):
         tint=tuple(surface.tint),
     )
     return read, graph.texture
+
+
+def _shown_socket(output, tree):
+    """The socket of a material's shader; where an Emission of one of our layers was put in its place to show the
+    result, the input that leads to the shader which was there: the one that nothing uses now."""
+    socket = output.inputs["Surface"]
+    node = socket.links[0].from_node if socket.is_linked else None
+    if node is None or node.type != "EMISSION" or not _is_layer(node.inputs["Color"]):
+        return socket
+    for other in tree.nodes:
+        if other.type in SHADERS and other.type not in {"EMISSION", "REROUTE"} and not other.outputs[0].is_linked:
+            return _Unlinked(other)
+    return socket
+
+
+class _Unlinked:
+    """A shader node that nothing uses, in the form of the socket that it could be linked to."""
+
+    is_linked = True
+
+    def __init__(self, node):
+        self.links = [self]
+        self.from_node = node
 
 
 def viewport_material(material):

@@ -9,6 +9,7 @@ from time import perf_counter, process_time
 import numpy as np
 
 from .cells import peak_memory
+from .contacts import cut_contacts
 from .effects import Survey, survey
 from .gather import Light, gather
 from .host import Solution, solve
@@ -68,9 +69,10 @@ def _bake(scene, settings, cells):
     edge = None if settings.patch_edge is None else settings.patch_edge * scene.diagonal
     patches = make_patches(scene, edge)
     sources, sampled = make_sources(scene)
+    cells.start(scene_arrays(scene, patches, sources))
+    patches = cut_contacts(scene, patches, cells)
     surfaces = make_surfaces(scene, patches, sampled)
     sky = np.pi * np.asarray(scene.world.radiance, float)
-    cells.start(scene_arrays(scene, patches, sources))
     clock.lap("patches")
     yield Progress("patches", 1.0, clock.total())
 

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .kernel import blocks
 from .lights import FLAT, test_rays, unoccluded, visible_share
 from .records import to_arrays
-from .rows import blocks
 from .sampling import R2, hemisphere, lattice, scatter, tangents
 
 TASK_RAYS = 1 << 17  # of one task: some 20 to 50 ms
@@ -62,20 +62,23 @@ def gather(points, solution, surfaces, sky, diagonal, cells, settings):
         for k in starts
     ]
     direct, indirect = np.zeros((len(sky), len(points))), np.zeros((len(sky), len(points)))
-    nearness = np.zeros(len(points))
+    nearness, links = np.zeros(len(points)), []
     for start, task in zip(starts, tasks):
         (result,) = cells.take([task])
         part = slice(start, start + len(result["nearness"]))
         direct[:, part], indirect[:, part] = result["direct"], result["indirect"]
         nearness[part] = result["nearness"]
+        links.append(result["links"])
         yield part.stop, len(points)
     reach = REACH * np.sqrt(np.sqrt(64 / settings.gather_rays)) * diagonal
-    return Light(direct, smooth(points, indirect, reach / np.maximum(nearness, 1e-9)))
+    links = np.concatenate([np.zeros(0, bool), *links])
+    return Light(direct, smooth(points, indirect, reach / np.maximum(nearness, 1e-9), links))
 
 
 def gather_points(kernel, start, stop, rays, seed):
-    """Light at points start to stop: "direct", "indirect" (C, K) [W/m^2], and "nearness" (K,), the mean inverse
-    distance that their rays went, in scene diagonals."""
+    """Light at points start to stop: "direct", "indirect" (C, K) [W/m^2]; "nearness" (K,), the mean inverse distance
+    that their rays went, in scene diagonals; "links" (E,) bool, which of their later neighbors they see along the edge.
+    """
     reflected, found = kernel.arrays["gather.reflected"], kernel.arrays["gather.found"]
     direct = _direct(kernel, start, stop, rays, seed)
     indirect, nearness = np.empty_like(direct), np.empty(stop - start)
@@ -92,7 +95,7 @@ def gather_points(kernel, start, stop, rays, seed):
             direct[:, part] += _mean_light(found, side, rays, above)
         near = 1.0 / np.maximum(distance, 1e-6).astype(float)
         nearness[part] = np.einsum("kn->k", near.reshape(-1, rays)) / rays
-    return {"direct": direct, "indirect": indirect, "nearness": nearness}
+    return {"direct": direct, "indirect": indirect, "nearness": nearness, "links": _links(kernel, start, stop)}
 
 
 def _mean_light(light, side, rays, above):
@@ -104,29 +107,42 @@ def _mean_light(light, side, rays, above):
     return np.stack([np.einsum("kn->k", channel) for channel in seen]) / rays
 
 
-def smooth(points, light, reach):
+def smooth(points, light, reach, links):
     """Light (C, P) with its noise diffused over the mesh edges, by steps that bend with it.
 
-    reach: (P,) how far light may be mixed [m]. Points whose normals differ by more than 18 degrees are not mixed. What
-    the diffusion F does to the light itself is undone in part: the result is 2 F - F F.
+    reach: (P,) how far light may be mixed [m]. links: (E,) bool, the edges (to later neighbors, in order) along which
+    nothing stands. Points whose normals differ by more than 18 degrees are not mixed. What the diffusion F does to the
+    light itself is undone in part: the result is 2 F - F F.
     """
-    start, there = points.neighbor_start, points.neighbor
-    here = np.repeat(np.arange(len(points)), np.diff(start))
+    here, there = _pairs(points, 0, len(points))
+    later = here < there
+    here, there = here[later][links], there[later][links]
     apart = points.position[here] - points.position[there]
     distance = np.sqrt((apart * apart).sum(axis=1))
-    degree = np.maximum(np.diff(start), 1)
+    degree = np.maximum(np.diff(points.neighbor_start), 1)
     share = np.minimum(reach[here], reach[there]) / np.maximum(distance, 1e-300)
     weight = np.minimum(1.0, share * share / 4) / np.maximum(degree[here], degree[there])
     weight[(points.normal[here] * points.normal[there]).sum(axis=1) < SMOOTH] = 0.0
 
     def diffuse(light):
         for _ in range(STEPS):
-            flow = (weight * (channel[there] - channel[here]) for channel in light)
-            light = light + np.stack([np.bincount(here, channel, len(points)) for channel in flow])
+            flow = [weight * (channel[there] - channel[here]) for channel in light]
+            change = [np.bincount(here, f, len(points)) - np.bincount(there, f, len(points)) for f in flow]
+            light = light + np.stack(change)
         return light
 
     once = diffuse(light)
     return 2 * once - diffuse(once)
+
+
+def _links(kernel, start, stop):
+    """(E,) bool: whether points start to stop see their neighbors with higher numbers, just above the surface."""
+    points = kernel.points
+    here, there = _pairs(points, start, stop)
+    here = here + start
+    here, there = here[here < there], there[here < there]
+    ends = [kernel.caster.start(points.position[k], points.geometric[k]) for k in (here, there)]
+    return ~kernel.caster.blocked(*ends)
 
 
 def _direct(kernel, start, stop, rays, seed):

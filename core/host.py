@@ -200,20 +200,21 @@ def fixed_point(update, values, largest, weight, target):
         bound = float(np.divide(error, mean, out=np.zeros_like(error), where=mean > 0).max())
         if bound <= target or count >= SWEEPS:
             return updated, count, bound
-        step, used = _least_residual(lambda d: update(values + d) - updated, change, target / max(bound, 1e-300))
+        step, used = _least_residual(update, values, updated, target / max(bound, 1e-300))
         values = values + step
         count += used
 
 
-def _least_residual(apply, residual, goal):
-    """The step d (C, K) in a Krylov space for which the residual of d = apply(d) + residual is least, and the number
-    of times that the linear map `apply` was used. Stops early when the residual has shrunk to `goal` of itself."""
+def _least_residual(update, values, updated, goal):
+    """The step (C, K) from `values` in a Krylov space after which an update, which turns them into `updated`, would
+    change least, and the number of updates used. Stops early when the change has shrunk to `goal` of itself."""
+    residual = updated - values
     norm = first = float(np.sqrt((residual * residual).sum()))
     if norm == 0.0:
-        return np.zeros_like(residual), 0
+        return residual, 0
     basis, triangle, turns, right = [residual / norm], [], [], [norm]
     while len(triangle) < KRYLOV and abs(right[-1]) > goal * first:
-        vector = basis[-1] - apply(basis[-1])
+        vector = basis[-1] - (update(values + basis[-1]) - updated)
         column = []
         for b in basis:
             column.append(float((b * vector).sum()))

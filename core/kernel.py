@@ -17,12 +17,19 @@ from .records import from_arrays, to_arrays
 BLOCK = 1 << 14  # rays cast at a time: their arrays stay in the processor's cache
 
 
+def blocks(count, each):
+    """Slices that cut `count` items of `each` rays into blocks."""
+    size = max(BLOCK // max(each, 1), 1)
+    return [slice(k, min(k + size, count)) for k in range(0, count, size)]
+
+
 def scene_arrays(scene, patches, sources):
     """The arrays that cells need for transport, as {name: array}."""
     return {
         "scene.vertices": scene.vertices,
         "scene.triangles": scene.triangles,
         "scene.usable": scene.usable,
+        "scene.triangle_polygon": scene.triangle_polygon,
         **to_arrays("patches", patches),
         **to_arrays("sources", sources),
     }
@@ -75,7 +82,7 @@ class Kernel:
         """What K rays meet first: side (K,) int32, 2 * patch + (1 on its back), -1 where the ray escaped; and the
         triangle (K,), its distance (K,) in scene diagonals."""
         triangle, u, v, distance, back = self.caster.hits(origins, directions)
-        side = patch_of_hit(self.patches, triangle, u, v)
+        side = patch_of_hit(self.patches, self.vertices, self.triangles, triangle, u, v)
         side *= 2
         side += back
         side[triangle < 0] = -1

@@ -18,6 +18,8 @@ import numpy as np
 from .polygons import clip_polygons
 from .scene import newell_normals
 
+CELL = np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)])  # corners of a cell
+CUTS = 3  # planes that cut one patch where other surfaces touch it, at most
 FLAT = 0.9995  # least cosine between the triangles of one flat facet
 
 
@@ -31,7 +33,9 @@ class Patches:
     parallelogram over the two edges, not the triangle; element_area: (M,) [m^2].
     triangle_map: (T, 8) float32 rows (s0, su, sv, t0, tu, tv, -, -): a hit (u, v) lies in column
     floor(s0 + su u + sv v) and row floor(t0 + tu u + tv v) of its facet's grid.
-    triangle_cell: (T, 3) int32 first cell, columns and rows of that grid. cell_patch: (G,) int32 patch of a cell.
+    triangle_cell: (T, 3) int32 first cell, columns and rows of that grid. cell_patch: (G,) int32 patch of a cell; of a
+    cell that is cut, -1 - q. cut_plane: (Q, CUTS, 4) planes (normal, offset) that cut it; cut_patch: (Q, 2^CUTS) int32
+    patch of each piece, by the planes that it lies in front of (1 for the first, 2 for the second, 4 for the third).
     """
 
     area: np.ndarray
@@ -45,6 +49,8 @@ class Patches:
     triangle_map: np.ndarray
     triangle_cell: np.ndarray
     cell_patch: np.ndarray
+    cut_plane: np.ndarray
+    cut_patch: np.ndarray
 
     def __len__(self):
         return len(self.area)
@@ -63,34 +69,41 @@ def make_patches(scene, edge=None):
     square = np.concatenate([p.square for p in pieces])
 
     # The cells that hold an element are the patches, in order.
-    order = np.argsort(cell, kind="stable")
-    cell, frame, square = cell[order], frame[order], square[order]
-    held, start = np.unique(cell, return_index=True)
-    start = np.append(start, len(cell)).astype(np.int32)
-
-    normal = np.cross(frame[:, 1], frame[:, 2])
-    element_area = np.sqrt((normal * normal).sum(axis=1)) * np.where(square, 1.0, 0.5)
-    normal = _sums(normal * np.where(square, 1.0, 0.5)[:, None], start)
-    middle = frame[:, 0] + (frame[:, 1] + frame[:, 2]) * np.where(square, 0.5, 1 / 3)[:, None]
-    area = _sums(element_area, start)
+    held, patch = np.unique(cell, return_inverse=True)
     facet_polygon = scene.triangle_polygon[triangle[grid.leading]]
     return Patches(
-        area=area,
-        normal=normal / np.sqrt((normal * normal).sum(axis=1, keepdims=True)),
-        centroid=_sums(middle * element_area[:, None], start) / area[:, None],
+        **join_elements(patch.reshape(-1), frame, square),
         polygon=facet_polygon[np.searchsorted(first, held, side="right") - 1],
-        element_start=start,
-        element_frame=frame,
-        element_square=square,
-        element_area=element_area,
         triangle_map=_triangle_maps(len(scene.triangles), triangle, grid.place),
         triangle_cell=_triangle_cells(len(scene.triangles), triangle, first[facet], grid, facet),
         cell_patch=_patch_of_cells(held, first, int(cells.sum())),
+        cut_plane=np.zeros((0, CUTS, 4)),
+        cut_patch=np.zeros((0, 1 << CUTS), np.int32),
     )
 
 
-def patch_of_hit(patches, triangle, u, v):
-    """(K,) int32 patch on which the hits (triangle, u, v) of K rays fell."""
+def join_elements(patch, frame, square):
+    """The fields of Patches that elements make up: patch (M,) of each element, frame (M, 3, 3) and square (M,)."""
+    order = np.argsort(patch, kind="stable")
+    patch, frame, square = patch[order], frame[order], square[order]
+    start = np.append(np.flatnonzero(_changes(patch)), len(patch)).astype(np.int32)
+    normal = np.cross(frame[:, 1], frame[:, 2])
+    area = np.sqrt((normal * normal).sum(axis=1)) * np.where(square, 1.0, 0.5)
+    normal = _sums(normal * np.where(square, 1.0, 0.5)[:, None], start)
+    middle = frame[:, 0] + (frame[:, 1] + frame[:, 2]) * np.where(square, 0.5, 1 / 3)[:, None]
+    return {
+        "area": _sums(area, start),
+        "normal": normal / np.sqrt((normal * normal).sum(axis=1, keepdims=True)),
+        "centroid": _sums(middle * area[:, None], start) / _sums(area, start)[:, None],
+        "element_start": start,
+        "element_frame": frame,
+        "element_square": square,
+        "element_area": area,
+    }
+
+
+def patch_of_hit(patches, vertices, triangles, triangle, u, v):
+    """(K,) int32 patch on which the hits (triangle, u, v) of K rays fell; vertices, triangles: of the scene."""
     m = np.take(patches.triangle_map, triangle, axis=0)
     cell = np.take(patches.triangle_cell, triangle, axis=0)
     column = (m[:, 0] + m[:, 1] * u + m[:, 2] * v).astype(np.int32)
@@ -98,7 +111,16 @@ def patch_of_hit(patches, triangle, u, v):
     # Rounding can carry a hit over the rim of the grid: clamp rather than trust the last bit.
     np.clip(column, 0, cell[:, 1] - 1, out=column)
     np.clip(row, 0, cell[:, 2] - 1, out=row)
-    return np.take(patches.cell_patch, cell[:, 0] + row * cell[:, 1] + column)
+    patch = np.take(patches.cell_patch, cell[:, 0] + row * cell[:, 1] + column)
+    if len(patches.cut_patch):
+        hit = np.flatnonzero(patch < 0)
+        a, b, c = np.moveaxis(vertices[triangles[triangle[hit]]], 1, 0)
+        place = a + u[hit, None].astype(float) * (b - a) + v[hit, None].astype(float) * (c - a)
+        cut = -1 - patch[hit]
+        plane = patches.cut_plane[cut]
+        front = np.einsum("kpd,kd->kp", plane[..., :3], place) > plane[..., 3]
+        patch[hit] = patches.cut_patch[cut, (front << np.arange(CUTS)).sum(axis=1)]
+    return patch
 
 
 def draw_on_patches(patches, ids, a, b):
@@ -143,7 +165,8 @@ class _Grid:
     """A grid of cells over each of F facets of K triangles.
 
     place: (K, 3, 2) corners of the triangles in units of cells. columns, rows: (F,). leading: (K,) bool, the first
-    triangle of each facet. frame: (F, 3, 3) world position of the grid's corner and the edges of a cell.
+    triangle of each facet. frame: (K, 3, 3) by each triangle's own measure, the world position of the grid's corner and
+    the edges of a cell.
     """
 
     place: np.ndarray
@@ -154,38 +177,70 @@ class _Grid:
 
 
 def _lay_grids(scene, triangle, facet, edge):
-    """Grids along the facets' longest edges, with cells of at most `edge`."""
+    """Grids with cells of at most `edge`: over quads along their own edges, over others along the longest edge."""
     leading = _changes(facet)
     count = int(leading.sum())
     place = np.full((len(triangle), 3, 2), 0.5)
-    columns, rows, frame = np.ones(count, np.int64), np.ones(count, np.int64), np.zeros((count, 3, 3))
+    columns, rows, frame = np.ones(count, np.int64), np.ones(count, np.int64), np.zeros((len(triangle), 3, 3))
     grid = _Grid(place, columns, rows, leading, frame)
     if edge is None or not count:
         return grid
     corners = scene.vertices[scene.triangles[triangle]]
     low, high = _extent(corners, leading)
     large = np.sqrt(((high - low) ** 2).sum(axis=1)) > edge
-    part = np.flatnonzero(large[facet])
-    if not len(part):
-        return grid
+    polygon = scene.triangle_polygon[triangle]
+    quad = np.diff(scene.polygon_start)[polygon[leading]] == 4
+    quad &= np.bincount(facet, minlength=count) == 2
+    for chosen, lay in ((large & quad, _along_quads), (large & ~quad, _along_longest)):
+        part = np.flatnonzero(chosen[facet])
+        if len(part):
+            # Renumber the chosen facets 0, 1, ... and work on them alone.
+            owner = (np.cumsum(chosen) - 1)[facet[part]]
+            at, span = lay(scene, triangle[part], owner, corners[part], leading[part])
+            cells = np.maximum(np.ceil(span / edge - 1e-6), 1)
+            place[part] = at * cells[owner, None]
+            columns[chosen], rows[chosen] = cells.astype(np.int64).T
+            frame[part] = _frames(corners[part], place[part])
+    return grid
 
-    # Renumber the large facets 0, 1, ... and work on them alone.
-    owner, leading, corners = (np.cumsum(large) - 1)[facet[part]], leading[part], corners[part]
+
+def _along_quads(scene, triangle, owner, corners, leading):
+    """Places (K, 3, 2) of the triangles' corners in the unit square of their quad, and the quad's sides (F, 2) [m]."""
+    polygon = scene.triangle_polygon[triangle]
+    number = scene.triangle_corner[triangle] - scene.polygon_start[polygon][:, None]
+    first = scene.polygon_start[polygon[leading]]
+    p0, p1, p2, p3 = (scene.vertices[scene.corner_vertex[first + k]] for k in range(4))
+
+    def length(edge):
+        return np.sqrt((edge * edge).sum(axis=1))
+
+    span = np.stack(
+        [np.maximum(length(p1 - p0), length(p2 - p3)), np.maximum(length(p3 - p0), length(p2 - p1))], axis=1
+    )
+    return CELL[number], span
+
+
+def _along_longest(scene, triangle, owner, corners, leading):
+    """Places (K, 3, 2) of the triangles' corners in the unit square over each facet, along its longest edge, and the
+    square's sides (F, 2) [m]."""
     along = _longest_edges(corners, owner)
-    across = np.cross(scene.triangle_normal_area[0][triangle[part]][leading], along)
-    origin = low[large]
-    local = corners - origin[owner, None]
+    across = np.cross(scene.triangle_normal_area[0][triangle][leading], along)
+    local = corners - corners[leading][owner, :1]
     flat = np.stack([(local * axis[owner, None]).sum(axis=-1) for axis in (along, across)], axis=-1)
     least, most = _extent(flat, leading)
     span = np.maximum(most - least, 1e-300)
-    cells = np.maximum(np.ceil(span / edge - 1e-6), 1)
-    place[part] = (flat - least[owner, None]) * (cells / span)[owner, None]
-    columns[large], rows[large] = cells.astype(np.int64).T
-    # The plane's own height above the origin, taken at the facet's first corner.
-    height = local[leading][:, 0] - flat[leading][:, 0, :1] * along - flat[leading][:, 0, 1:] * across
-    frame[large, 0] = origin + height + least[:, :1] * along + least[:, 1:] * across
-    frame[large, 1], frame[large, 2] = along * (span / cells)[:, :1], across * (span / cells)[:, 1:]
-    return grid
+    return (flat - least[owner, None]) / span[owner, None], span
+
+
+def _frames(corners, place):
+    """(K, 3, 3) world position of a grid's corner and the edges of its cells, from triangles' corners (K, 3, 3) in the
+    world and (K, 3, 2) in cells."""
+    a, b = place[:, 1] - place[:, 0], place[:, 2] - place[:, 0]
+    e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    det = (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])[:, None]
+    s = (b[:, 1:] * e1 - a[:, 1:] * e2) / det
+    t = (a[:, :1] * e2 - b[:, :1] * e1) / det
+    return np.stack([corners[:, 0] - place[:, 0, :1] * s - place[:, 0, 1:] * t, s, t], axis=1)
 
 
 def _changes(key):
@@ -245,23 +300,27 @@ def _uncut(scene, triangle, facet, grid):
 
 
 def _filled(facet, grid):
-    """(F,) bool: facets that fill their grid to the rim, as the rectangles of walls and floors do."""
+    """(F,) bool: facets that fill their grid to the rim with cells of one shape, as rectangles do."""
     a, b = grid.place[:, 1] - grid.place[:, 0], grid.place[:, 2] - grid.place[:, 0]
     area = np.bincount(facet, np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2, len(grid.rows))
-    return area >= grid.columns * grid.rows * (1 - 1e-6)
+    first = grid.frame[grid.leading][facet]
+    size = np.abs(first[:, 1:]).max(axis=(1, 2))
+    differs = np.abs(grid.frame[:, 1:] - first[:, 1:]).max(axis=(1, 2)) > 1e-6 * size
+    return (area >= grid.columns * grid.rows * (1 - 1e-6)) & (np.bincount(facet, differs, len(grid.rows)) == 0)
 
 
 def _full_cells(facet, grid):
     """The cells of facets that fill their grid, a parallelogram each."""
     count = np.where((grid.columns * grid.rows > 1) & _filled(facet, grid), grid.columns * grid.rows, 0)
     owner, cell = _counted(count)
-    return _Pieces(owner, cell, _cell_frames(grid, owner, cell), np.ones(len(owner), bool))
+    row, column = np.divmod(cell, grid.columns[owner])
+    frame = _cell_frames(grid.frame[grid.leading][owner], column, row)
+    return _Pieces(owner, cell, frame, np.ones(len(owner), bool))
 
 
-def _cell_frames(grid, facet, cell):
-    """(E, 3, 3) frames of cells of facets."""
-    row, column = np.divmod(cell, grid.columns[facet])
-    frame = grid.frame[facet].copy()
+def _cell_frames(frame, column, row):
+    """(E, 3, 3) frames of cells, from those of their grids."""
+    frame = frame.copy()
     frame[:, 0] += column[:, None] * frame[:, 1] + row[:, None] * frame[:, 2]
     return frame
 
@@ -269,54 +328,57 @@ def _cell_frames(grid, facet, cell):
 def _cut_cells(scene, triangle, facet, grid):
     """The elements of the other facets: their triangles, cut at the lines of the grid."""
     mine = ((grid.columns * grid.rows > 1) & ~_filled(facet, grid))[facet]
-    triangle, facet, place = triangle[mine], facet[mine], grid.place[mine]
+    facet, place, frame = facet[mine], grid.place[mine], grid.frame[mine]
     low = np.maximum(np.floor(place.min(axis=1) + 1e-6), 0).astype(np.int64)
     span = np.maximum(np.ceil(place.max(axis=1) - 1e-6).astype(np.int64) - low, 1)
     source, step = _counted(span[:, 0] * span[:, 1])
     column = low[source, 0] + step % span[source, 0]
     row = low[source, 1] + step // span[source, 0]
+    cell = row * grid.columns[facet[source]] + column
 
-    # Signed distance of each cell's corners from the triangle's edges, positive inside; cells outside are dropped.
+    # Signed distance of each cell's corners from the triangle's edges, positive inside.
     edge = np.roll(place, -1, axis=1) - place
     turn = np.sign(edge[:, 0, 0] * edge[:, 1, 1] - edge[:, 0, 1] * edge[:, 1, 0])[:, None, None]
     inward = np.stack([-edge[..., 1], edge[..., 0]], axis=-1) * turn
     inward /= np.maximum(np.sqrt((inward**2).sum(axis=-1, keepdims=True)), 1e-300)
     offset = (place * inward).sum(axis=-1)
-    corner = np.stack([column, row], axis=1)[:, None] + np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
-    inside = np.einsum("kvd,ked->kve", corner, inward[source]) - offset[source, None]
+    corner = np.stack([column, row], axis=1)[:, None] + CELL
+    normal = inward[source]
+    inside = corner[..., :1] * normal[:, None, :, 0] + corner[..., 1:] * normal[:, None, :, 1] - offset[source, None]
     held = (inside.max(axis=1) > 1e-6).all(axis=1)
-    full = (inside.min(axis=1) >= -1e-6).all(axis=1)
-    cell = row * grid.columns[facet[source]] + column
+    out = (inside < -1e-6).any(axis=2)
+    full = ~out.any(axis=1)
 
-    # Cells on the triangle's rim are clipped at its edges and taken as fans of triangles, the others as they are.
-    rim = np.flatnonzero(held & ~full)
+    # A cell that the triangle cuts along a diagonal is a triangle itself; others are clipped, and taken as fans.
+    beyond = out.argmax(axis=1)
+    across = np.abs(np.take_along_axis(inside, np.array([(1, 3), (0, 2), (1, 3), (0, 2)])[beyond][..., None], axis=1))
+    half = held & (out.sum(axis=1) == 1) & (across.min(axis=2) < 1e-6).all(axis=1)
+    opposite = (beyond[half] + 2) % 4
+    right = np.stack([corner[half, 0] + CELL[(opposite + k) % 4] for k in (0, 1, 3)], axis=1)
+    rim = np.flatnonzero(held & ~full & ~half)
     polygon, sides = corner[rim], np.full(len(rim), 4)
     for k in range(3):
         value = np.einsum("kvd,kd->kv", polygon, inward[source[rim], k]) - offset[source[rim], k, None]
         polygon, sides = clip_polygons(polygon, sides, value)
     which, step = _counted(np.maximum(sides - 2, 0))
     fan = np.stack([polygon[which, 0], polygon[which, step + 1], polygon[which, step + 2]], axis=1)
-    owner = source[rim][which]
-    frame = _to_world(scene.vertices[scene.triangles[triangle[owner]]], place[owner], fan)
     e1, e2 = fan[:, 1] - fan[:, 0], fan[:, 2] - fan[:, 0]
     solid = np.abs(e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0]) > 1e-9
-    owner, which, frame = owner[solid], which[solid], frame[solid]
+
+    part = np.concatenate([np.flatnonzero(half), rim[which[solid]]])
+    triangles = _to_world(frame[source[part]], np.concatenate([right, fan[solid]]))
+    squares = _cell_frames(frame[source[full]], column[full], row[full])
     return _Pieces(
-        np.concatenate([facet[source[full]], facet[owner]]),
-        np.concatenate([cell[full], cell[rim][which]]),
-        np.concatenate([_cell_frames(grid, facet[source[full]], cell[full]), frame]),
-        np.append(np.ones(full.sum(), bool), np.zeros(len(owner), bool)),
+        facet[source[np.concatenate([np.flatnonzero(full), part])]],
+        np.concatenate([cell[full], cell[part]]),
+        np.concatenate([squares, triangles]),
+        np.append(np.ones(len(squares), bool), np.zeros(len(part), bool)),
     )
 
 
-def _to_world(corners, place, fan):
-    """(E, 3, 3) frames of triangles `fan` (E, 3, 2), given in the plane where `corners` (E, 3, 3) lie at `place`."""
-    a, b, local = place[:, 1] - place[:, 0], place[:, 2] - place[:, 0], fan - place[:, :1]
-    det = (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])[:, None]
-    u = (local[..., 0] * b[:, 1:] - local[..., 1] * b[:, :1]) / det
-    v = (local[..., 1] * a[:, :1] - local[..., 0] * a[:, 1:]) / det
-    e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    world = corners[:, :1] + u[..., None] * e1[:, None] + v[..., None] * e2[:, None]
+def _to_world(frame, triangle):
+    """(E, 3, 3) frames of triangles (E, 3, 2), given in cells of grids with frames (E, 3, 3)."""
+    world = frame[:, None, 0] + triangle[..., :1] * frame[:, None, 1] + triangle[..., 1:] * frame[:, None, 2]
     return np.stack([world[:, 0], world[:, 1] - world[:, 0], world[:, 2] - world[:, 0]], axis=1)
 
 

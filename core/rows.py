@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .kernel import BLOCK
+from .kernel import blocks
 from .lights import patch_irradiance
 from .patches import draw_on_patches
 from .sampling import hemisphere, lattice4, scatter, tangents
@@ -35,12 +35,6 @@ def light_patches(kernel, sides, samples, seed):
         centroid = kernel.patches.centroid[sides[part] >> 1]
         direct[:, part] = patch_irradiance(kernel.sources, kernel.caster, centroid, position, normal, a, b).T
     return {"direct": direct}
-
-
-def blocks(count, each):
-    """Slices that cut `count` items of `each` rays into blocks."""
-    size = max(BLOCK // max(each, 1), 1)
-    return [slice(k, min(k + size, count)) for k in range(0, count, size)]
 
 
 def _row_rays(kernel, sides, rays, seed):

@@ -172,7 +172,7 @@ def _set_means(scene, patches, triangle, uv, values, result):
     """Set rows of `result` (N, 3) to the mean of the values (S, 3) that lie on each patch; a patch of a touched polygon
     without any gets its polygon's mean."""
     uv = uv.astype(np.float32)
-    patch = patch_of_hit(patches, triangle, uv[:, 0], uv[:, 1])
+    patch = patch_of_hit(patches, scene.vertices, scene.triangles, triangle, uv[:, 0], uv[:, 1])
     own = _means(patch, values, len(patches))
     whole = _means(scene.triangle_polygon[triangle], values, len(scene.polygon_material))
     touched = ~np.isnan(whole[patches.polygon, 0])

@@ -69,10 +69,16 @@ def icosphere(name="sphere", radius=1.0, splits=2, inward=True, material=0):
     near = np.sqrt(((v[:, None] - v[None]) ** 2).sum(-1))
     edge = np.isclose(near, 2.0)
     triangles = [
-        (i, j, k) for i in range(12) for j in range(i + 1, 12) for k in range(j + 1, 12) if edge[i, j] and edge[j, k] and edge[i, k]
+        (i, j, k)
+        for i in range(12)
+        for j in range(i + 1, 12)
+        for k in range(j + 1, 12)
+        if edge[i, j] and edge[j, k] and edge[i, k]
     ]
     corners = v[np.array(triangles)]
-    outward = np.einsum("td,td->t", np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), corners[:, 0]) > 0
+    outward = (
+        np.einsum("td,td->t", np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), corners[:, 0]) > 0
+    )
     corners[~outward] = corners[~outward][:, ::-1]
     for _ in range(splits):
         a, b, c = (corners[:, k] for k in range(3))

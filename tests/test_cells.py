@@ -10,9 +10,10 @@ import time
 
 import numpy as np
 import pytest
-from scenes import Lamp, Material, Settings, World, bake, box, icosphere, join_meshes, run
 
 from cell_radiosity.core.cells import CellError, LocalCells, make_cells
+
+from scenes import Lamp, Material, Settings, World, bake, box, icosphere, join_meshes, run
 
 SETTINGS = Settings(gather_rays=64, row_rays=16)
 
@@ -92,7 +93,9 @@ def test_cells_that_keep_dying_end_in_this_process(expected, monkeypatch):
     with make_cells(2) as cells:
         for cell in cells._cells:
             cell.process.kill()
-        monkeypatch.setattr("cell_radiosity.core.cells._Process", lambda index: (_ for _ in ()).throw(OSError("no more")))
+        monkeypatch.setattr(
+            "cell_radiosity.core.cells._Process", lambda index: (_ for _ in ()).throw(OSError("no more"))
+        )
         result = run(bake(furnished(), SETTINGS, cells))
     assert same(result, expected)
     assert "no more" in cells.note

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from scenes import Lamp, Material, box, icosphere, join_meshes, solve_scene
 
 
@@ -82,7 +83,10 @@ def test_power_is_balanced_after_every_round(cells):
     """emitted = absorbed + escaped + unshot, to rounding, while light is shot and after the solve."""
     materials = [gray(0.7), gray(0.3, 2.0)]
     room = join_meshes(
-        [box(n=6, materials={"Z": 1}, faces="xXyYzZ"[:5] + "Z"), box("block", (0.3, 0.3, 0.2), (0.6, 0.7, 0.5), 3, False)],
+        [
+            box(n=6, materials={"Z": 1}, faces="xXyYzZ"[:5] + "Z"),
+            box("block", (0.3, 0.3, 0.2), (0.6, 0.7, 0.5), 3, False),
+        ],
         materials,
         [Lamp("point", (3.0, 2.0, 1.0), (0.5, 0.2, 0.8))],
     )

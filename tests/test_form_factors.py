@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scenes import Mesh, join_meshes
 
 from cell_radiosity.core.kernel import scene_arrays
 from cell_radiosity.core.lights import make_sources
 from cell_radiosity.core.patches import make_patches
 from cell_radiosity.core.polygons import angle, polygon_factor
+
+from scenes import Mesh, join_meshes
 
 SQUARE = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], float)
 RAYS = 1 << 14
@@ -76,7 +77,9 @@ def test_row_with_an_obstruction(cells):
 
 
 def test_rows_of_a_closed_cube_sum_to_one(cells):
-    faces = [SQUARE, raised(SQUARE, 1)] + [np.roll(SQUARE, k, axis=1) + np.eye(3)[k - 1] * s for k in (1, 2) for s in (0, 1)]
+    faces = [SQUARE, raised(SQUARE, 1)] + [
+        np.roll(SQUARE, k, axis=1) + np.eye(3)[k - 1] * s for k in (1, 2) for s in (0, 1)
+    ]
     assert sum(sent(cells, *faces)) == 1.0
 
 

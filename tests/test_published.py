@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from scenes import Lamp, Material, Mesh, Settings, bake, box, join_meshes, point_light, run, sheet
 
 BLACK, SHINE = Material("black", (0, 0, 0)), Material("shine", (0, 0, 0), (1, 1, 1))
@@ -72,7 +73,10 @@ def test_khodulev_cube(cells):
 @pytest.mark.parametrize("lit", [True, False])
 def test_two_opposed_squares(cells, lit):
     """B1 = (E1 + rho1 F E2) / (1 - rho1 rho2 F^2), and the same from the other side."""
-    first, second = Material("first", (0.5,) * 3, (float(lit),) * 3), Material("second", (0.8,) * 3, (float(not lit),) * 3)
+    first, second = (
+        Material("first", (0.5,) * 3, (float(lit),) * 3),
+        Material("second", (0.8,) * 3, (float(not lit),) * 3),
+    )
     a = sheet("a", [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], 8, 8, 0)
     b = sheet("b", [(0, 1, 1), (1, 1, 1), (1, 0, 1), (0, 0, 1)], 8, 8, 1)
     from scenes import solve_scene
@@ -83,4 +87,6 @@ def test_two_opposed_squares(cells, lit):
         # One patch per square would give 1.0162312 and 0.1624546; many patches come within 0.2 % of it.
         np.testing.assert_allclose(means, [1.0162312, 0.1624546], rtol=4e-3)
     else:
-        np.testing.assert_allclose(means, [0.5 * 0.19982490 / (1 - 0.4 * 0.19982490**2), 1 / (1 - 0.4 * 0.19982490**2)], rtol=4e-3)
+        np.testing.assert_allclose(
+            means, [0.5 * 0.19982490 / (1 - 0.4 * 0.19982490**2), 1 / (1 - 0.4 * 0.19982490**2)], rtol=4e-3
+        )

@@ -15,6 +15,7 @@ import time
 
 import bpy
 import numpy as np
+
 from cell_radiosity.addon.read_scene import read_scene
 from cell_radiosity.core.layers import vertex_means
 from cell_radiosity.core.raycast import RayCaster

@@ -1,0 +1,131 @@
+"""Lamps, emitting faces and the world, as Blender has them: exact conversions, and the same as Cycles."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy")
+from blender_scenes import bake_cycles, bake_ours, colors, diffuse, empty, glowing, lamp, plane  # noqa: E402
+
+HEIGHT = 2.0
+
+
+def at_origin(values):
+    """Mean of the corners at the plane's middle vertex."""
+    mesh = bpy.data.objects["plane"].data
+    corner = [k for k, loop in enumerate(mesh.loops) if mesh.vertices[loop.vertex_index].co.length < 1e-6]
+    return values[corner].mean(axis=0)
+
+
+KINDS = {
+    "point": (dict(kind="POINT", shadow_soft_size=0.0), lambda p: p / (4 * np.pi) / HEIGHT**2),
+    "soft point": (dict(kind="POINT", shadow_soft_size=0.3), lambda p: p / (4 * np.pi) / (HEIGHT**2 + 0.09)),
+    "ball": (dict(kind="POINT", shadow_soft_size=0.3, use_soft_falloff=False), lambda p: p / (4 * np.pi) / HEIGHT**2),
+    "spot": (dict(kind="SPOT", shadow_soft_size=0.0, spot_size=1.0), lambda p: p / (4 * np.pi) / HEIGHT**2),
+    "sun": (dict(kind="SUN", angle=0.02), lambda p: p),
+    "square": (dict(kind="AREA", shape="SQUARE", size=0.1), lambda p: p / (np.pi * HEIGHT**2)),
+    "rectangle": (dict(kind="AREA", shape="RECTANGLE", size=0.1, size_y=0.05), lambda p: p / (np.pi * HEIGHT**2)),
+    "disk": (dict(kind="AREA", shape="DISK", size=0.1), lambda p: p / (np.pi * HEIGHT**2)),
+    "ellipse": (dict(kind="AREA", shape="ELLIPSE", size=0.1, size_y=0.2), lambda p: p / (np.pi * HEIGHT**2)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_lamp_overhead(cells, name):
+    """Irradiance right below a lamp of 50 W, colored: the exact conversion, which agrees with Cycles to 1e-4."""
+    settings, exact = KINDS[name]
+    empty()
+    plane(size=1.0, n=2, material=diffuse("white", (0.8, 0.8, 0.8)))
+    lamp(energy=50.0, color=(1.0, 0.5, 0.25), location=(0, 0, HEIGHT), **settings)
+    bake_ours(cells, layers=("Direct", "Lighting"))
+    expected = exact(50.0) * np.array((1.0, 0.5, 0.25)) / np.pi
+    found = at_origin(colors(bpy.data.objects["plane"].data, "Direct"))
+    np.testing.assert_allclose(found, expected, rtol=2e-3 if settings["kind"] == "AREA" else 1e-4)
+
+
+@pytest.mark.parametrize("name", [*KINDS, "scaled area", "tilted sun", "wide sun", "spot rim", "exposure"])
+def test_lamp_like_cycles(cells, name):
+    """A plane under a lamp off its axis, half in the shadow of a smaller plane."""
+    tilt = (0.5, 0.3, 0.2)
+    extra = {
+        "scaled area": dict(kind="AREA", shape="RECTANGLE", size=0.5, size_y=1.0, scale=(2.0, 0.5, 1.0)),
+        "tilted sun": dict(kind="SUN", angle=0.0, rotation_euler=(0.9, 0.2, 0.4)),
+        "wide sun": dict(kind="SUN", angle=0.5, rotation_euler=(0.6, 0.2, 0.4)),
+        "spot rim": dict(kind="SPOT", spot_size=0.9, spot_blend=0.8, shadow_soft_size=0.1),
+        "exposure": dict(kind="POINT", exposure=1.5, shadow_soft_size=0.1),
+    }
+    settings = {
+        "rotation_euler": tilt,
+        "location": (0.6, -0.9, 1.8),
+        **(extra[name] if name in extra else KINDS[name][0]),
+    }
+    if "exposure" in settings and not hasattr(bpy.types.Light, "exposure"):
+        pytest.skip("this Blender's lights have no exposure")
+    empty()
+    ground = plane(size=3.0, n=6, material=diffuse("white", (0.8, 0.8, 0.8)))
+    plane("screen", size=0.7, n=1, location=(0.4, 0.5, 0.6))
+    lamp(energy=60.0 if settings["kind"] != "SUN" else 3.0, **settings)
+    bake_ours(cells, layers=("Direct",), error=0.005)
+    expected = bake_cycles(["plane"], 512, ["DIRECT"])["plane"]
+    found = colors(ground.data, "Direct")
+    # Cycles' noise in half shadow; elsewhere the two agree much better.
+    assert np.sqrt(((found - expected) ** 2).mean()) < 0.02 * np.sqrt((expected**2).mean())
+    assert abs(found.mean() / expected.mean() - 1) < 0.01
+
+
+def test_light_nodes_multiply(cells):
+    empty()
+    plane(size=1.0, n=2)
+    data = lamp("POINT", 50.0, location=(0, 0, HEIGHT), shadow_soft_size=0.0).data
+    data.use_nodes = True
+    data.node_tree.nodes["Emission"].inputs["Strength"].default_value = 3.0
+    bake_ours(cells, layers=("Direct",))
+    found = at_origin(colors(bpy.data.objects["plane"].data, "Direct"))
+    np.testing.assert_allclose(found, 3 * 50 / (4 * np.pi) / HEIGHT**2 / np.pi, rtol=1e-4)
+
+
+def test_emitting_face_shines_from_both_sides(cells):
+    """Exitance is pi times color times strength, on either side."""
+    empty()
+    plane("glow", size=0.1, n=1, material=glowing("glow", (1.0, 0.5, 0.2), 7.0), location=(0, 0, HEIGHT))
+    plane(size=1.0, n=2)
+    plane("above", size=1.0, n=2, location=(0, 0, 2 * HEIGHT), rotation_euler=(np.pi, 0, 0))
+    bake_ours(cells, layers=("Direct",))
+    expected = 7.0 * np.array((1.0, 0.5, 0.2)) * 0.01 / HEIGHT**2 / np.pi
+    np.testing.assert_allclose(at_origin(colors(bpy.data.objects["plane"].data, "Direct")), expected, rtol=3e-3)
+    above = colors(bpy.data.objects["above"].data, "Direct")
+    np.testing.assert_allclose(above.max(axis=0), expected, rtol=3e-3)
+
+
+def test_world_of_one_color(cells):
+    """An unobstructed plane gets pi times the world's color; one below a black square, what the square leaves open."""
+    empty(world=(0.2, 0.4, 0.8))
+    black = diffuse("black", (0, 0, 0))
+    plane("square", size=1.0, n=2, material=black, location=(0, 0, 1.0))
+    plane(size=0.5, n=2, material=black)
+    bake_ours(cells, layers=("Direct", "Lighting", "Indirect"), error=0.005)
+    top = colors(bpy.data.objects["square"].data, "Lighting")
+    np.testing.assert_allclose(top, np.tile((0.2, 0.4, 0.8), (16, 1)), rtol=1e-6)
+    below = at_origin(colors(bpy.data.objects["plane"].data, "Direct"))
+    np.testing.assert_allclose(below, (1 - 0.23945647046077) * np.array((0.2, 0.4, 0.8)), rtol=0.01)
+
+
+def test_box_without_a_bottom_is_black_inside(cells):
+    """A lit floor under an upturned box: no light leaks in, and the box's back sides do not read as its front."""
+    empty(world=(0.5, 0.5, 0.5))
+    floor = plane("floor", size=4.0, n=16)
+    sides = [((-1, -1), (1, -1)), ((1, -1), (1, 1)), ((1, 1), (-1, 1)), ((-1, 1), (-1, -1))]
+    vertices = [v for (a, b), (c, d) in sides for v in ((a, b, 0), (c, d, 0), (c, d, 1), (a, b, 1))]
+    faces = [[4 * k + i for i in range(4)] for k in range(4)] + [[2, 6, 10, 14]]
+    from blender_scenes import mesh_object
+
+    mesh_object("box", vertices, faces, location=(0.1, 0.1, 0))
+    lamp("SUN", 5.0, rotation_euler=(0.3, 0.4, 0))
+    bake_ours(cells, layers=("Lighting",))
+    values = colors(floor.data, "Lighting")
+    place = np.array([floor.data.vertices[loop.vertex_index].co[:] for loop in floor.data.loops])
+    inside = (np.abs(place[:, :2] - 0.1) < 0.95).all(axis=1)
+    assert inside.sum() > 50
+    assert values[inside].max() == 0.0
+    assert values[(np.abs(place[:, :2] - 0.1) > 1.2).any(axis=1)].min() > 0.1

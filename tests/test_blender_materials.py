@@ -1,0 +1,221 @@
+"""Materials as the core sees them, against what Cycles says they reflect and emit."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy")
+from cell_radiosity.addon.read_scene import read_scene  # noqa: E402
+from cell_radiosity.core.patches import make_patches  # noqa: E402
+from cell_radiosity.core.surfaces import make_surfaces  # noqa: E402
+
+from blender_scenes import bake_ours, colors, diffuse, empty, glowing, lamp, plane  # noqa: E402
+
+
+def principled(**inputs):
+    made = bpy.data.materials.new("principled")
+    made.use_nodes = True
+    for name, value in inputs.items():
+        made.node_tree.nodes["Principled BSDF"].inputs[name.replace("_", " ")].default_value = value
+    return made
+
+
+def cycles_says(kind, parts=("COLOR",)):
+    """Mean (3,) of a one-sample Cycles bake of the plane."""
+    mesh = bpy.data.objects["plane"].data
+    attributes = mesh.color_attributes
+    attributes.active_color = attributes.get("Cycles") or attributes.new("Cycles", "FLOAT_COLOR", "CORNER")
+    bpy.context.scene.cycles.samples = 64
+    bpy.context.view_layer.objects.active = bpy.data.objects["plane"]
+    bpy.data.objects["plane"].select_set(True)
+    bpy.ops.object.bake(type=kind, pass_filter=set(parts), target="VERTEX_COLORS")
+    return colors(mesh, "Cycles").mean(axis=0)
+
+
+def we_say():
+    """Mean reflectance and exitance / pi (3,) of the plane's patches, and what was ignored."""
+    bpy.context.view_layer.update()
+    scene, _ = read_scene(bpy.context)
+    patches = make_patches(scene, scene.diagonal / 20)
+    surfaces = make_surfaces(scene, patches, np.zeros(len(scene.polygon_material), bool))
+    weight = np.repeat(patches.area, 2) / patches.area.sum() / 2
+    return (surfaces.reflectance * weight).sum(1), (surfaces.exitance * weight).sum(1) / np.pi, scene.ignored
+
+
+SURFACES = {
+    "default": dict(),
+    "smooth": dict(Roughness=0.1, Base_Color=(0.3, 0.5, 0.7, 1)),
+    "rough": dict(Roughness=1.0, Base_Color=(0.3, 0.5, 0.7, 1)),
+    "black": dict(Base_Color=(0, 0, 0, 1)),
+    "no specular": dict(Specular_IOR_Level=0.0, Base_Color=(0.3, 0.5, 0.7, 1)),
+    "high IOR": dict(IOR=2.5, Base_Color=(0.3, 0.5, 0.7, 1)),
+    "half metal": dict(Metallic=0.5, Base_Color=(0.3, 0.5, 0.7, 1)),
+    "metal": dict(Metallic=1.0, Base_Color=(0.3, 0.5, 0.7, 1)),
+}
+
+
+@pytest.mark.parametrize("name", SURFACES)
+def test_principled_reflects_as_much_as_in_cycles(name):
+    """The total reflectance, diffuse and glossy, to 5 %."""
+    empty()
+    plane(material=principled(**SURFACES[name]))
+    found, emitted, _ = we_say()
+    expected = cycles_says("DIFFUSE") + cycles_says("GLOSSY")
+    np.testing.assert_allclose(found, expected, rtol=0.05, atol=0.002)
+    assert not emitted.any()
+
+
+def test_diffuse_reflects_its_color():
+    empty()
+    plane(material=diffuse("d", (0.3, 0.5, 0.7)))
+    found, _, ignored = we_say()
+    np.testing.assert_allclose(found, cycles_says("DIFFUSE"), rtol=0.01)
+    np.testing.assert_allclose(found, (0.3, 0.5, 0.7), rtol=1e-6)
+    assert not ignored
+
+
+def test_no_material_is_blenders_default():
+    empty()
+    plane()
+    np.testing.assert_allclose(we_say()[0], cycles_says("DIFFUSE"), rtol=0.01)
+
+
+def test_emission_and_its_strength():
+    empty()
+    plane(material=principled(Emission_Color=(1.0, 0.5, 0.2, 1), Emission_Strength=3.0))
+    np.testing.assert_allclose(we_say()[1], cycles_says("EMIT", ()), rtol=0.01)
+
+
+def test_metal_and_glass_are_named():
+    empty()
+    plane(material=principled(Metallic=1.0))
+    plane("pane", material=principled(Transmission_Weight=1.0))
+    _, _, ignored = we_say()
+    assert any(o == "plane" and "gloss, 100 %" in r for o, r in ignored)
+    assert any(o == "pane" and "refraction" in r for o, r in ignored)
+
+
+def mixed(factor):
+    """A mix of a red diffuse and an emission shader."""
+    made = diffuse("mix", (0.8, 0.1, 0.1))
+    tree = made.node_tree
+    mix, emission = tree.nodes.new("ShaderNodeMixShader"), tree.nodes.new("ShaderNodeEmission")
+    mix.inputs[0].default_value = factor
+    emission.inputs["Strength"].default_value = 2.0
+    tree.links.new(tree.nodes["Diffuse BSDF"].outputs[0], mix.inputs[1])
+    tree.links.new(emission.outputs[0], mix.inputs[2])
+    tree.links.new(mix.outputs[0], tree.nodes["Material Output"].inputs["Surface"])
+    return made
+
+
+def test_mix_of_shaders():
+    empty()
+    plane(material=mixed(0.25))
+    reflectance, emitted, _ = we_say()
+    np.testing.assert_allclose(reflectance, cycles_says("DIFFUSE"), rtol=0.01)
+    np.testing.assert_allclose(emitted, cycles_says("EMIT", ()), rtol=0.01)
+
+
+def gradient_image():
+    image = bpy.data.images.new("gradient", 64, 64)
+    pixels = np.ones((64, 64, 4), np.float32)
+    pixels[..., 0] = np.linspace(0, 1, 64)[None]
+    pixels[..., 1] = np.linspace(0, 1, 64)[:, None]
+    image.pixels.foreach_set(pixels.reshape(-1))
+    return image
+
+
+def textured(node_type, **settings):
+    """A diffuse material with a node's color as its own."""
+    made = diffuse("textured", (0, 0, 0))
+    tree = made.node_tree
+    node = tree.nodes.new(node_type)
+    for key, value in settings.items():
+        setattr(node, key, value)
+    tree.links.new(node.outputs["Color"], tree.nodes["Diffuse BSDF"].inputs["Color"])
+    return made
+
+
+def add_uv(object):
+    layer = object.data.uv_layers.new(name="UVMap")
+    place = np.array([object.data.vertices[loop.vertex_index].co[:2] for loop in object.data.loops])
+    layer.uv.foreach_set("vector", (place / 2 + 0.5).astype(np.float32).reshape(-1) * 0.98 + 0.01)
+
+
+@pytest.mark.parametrize("way", ["image", "nodes"])
+def test_texture_is_averaged_over_patches(way):
+    """An image as the color, read directly; and the same behind a node that only Cycles understands."""
+    empty()
+    ground = plane()
+    add_uv(ground)
+    material = textured("ShaderNodeTexImage", image=gradient_image())
+    ground.data.materials.append(material)
+    if way == "nodes":
+        tree = material.node_tree
+        gamma = tree.nodes.new("ShaderNodeGamma")
+        tree.links.new(tree.nodes["Image Texture"].outputs["Color"], gamma.inputs[0])
+        tree.links.new(gamma.outputs[0], tree.nodes["Diffuse BSDF"].inputs["Color"])
+    bpy.context.view_layer.update()
+    scene, _ = read_scene(bpy.context)
+    assert (scene.readings is not None) == (way == "nodes")
+    patches = make_patches(scene, scene.diagonal / 20)
+    surfaces = make_surfaces(scene, patches, np.zeros(len(scene.polygon_material), bool))
+    stored = patches.centroid[:, :2] / 2 * 0.98 + 0.5  # the images are stored as sRGB
+    linear = np.where(stored < 0.04045, stored / 12.92, ((stored + 0.055) / 1.055) ** 2.4)
+    np.testing.assert_allclose(surfaces.reflectance[:2, 0::2].T, linear, atol=0.03)
+
+
+def test_node_graph_reads_color_and_emission_and_leaves_no_trace():
+    empty()
+    material = textured("ShaderNodeTexChecker")
+    plane(material=material)
+    bpy.data.objects["plane"].select_set(True)
+    before = {
+        name: set(getattr(bpy.data, name).keys()) for name in ("objects", "meshes", "scenes", "materials", "images")
+    }
+    reflectance, _, _ = we_say()
+    np.testing.assert_allclose(reflectance, cycles_says("DIFFUSE"), rtol=0.05)
+    assert before == {name: set(getattr(bpy.data, name).keys()) for name in before}
+    assert bpy.data.objects["plane"].select_get()
+
+
+def test_layer_hooked_into_the_material_does_not_shine_again(cells):
+    """Baked, hooked into base color and emission, baked again: the same bits."""
+    empty()
+    ground = plane(n=4, material=principled(Base_Color=(0.6, 0.4, 0.2, 1)))
+    plane("wall", n=4, location=(1, 0, 1), rotation_euler=(0, -np.pi / 2, 0), material=diffuse("d", (0.7, 0.2, 0.2)))
+    plane("glow", size=0.2, n=1, location=(0, 0, 2), material=glowing("g", (1, 1, 1), 20.0))
+    lamp("POINT", 20.0, location=(0.5, 0.5, 1.5))
+    bake_ours(cells)
+    first = {n: colors(bpy.data.objects[n].data, "Radiosity") for n in ("plane", "wall")}
+    for name, material in (("plane", ground.data.materials[0]), ("wall", bpy.data.objects["wall"].data.materials[0])):
+        tree = material.node_tree
+        node = tree.nodes.new("ShaderNodeVertexColor")
+        node.layer_name = "Radiosity"
+        if name == "plane":
+            tree.links.new(node.outputs["Color"], tree.nodes["Principled BSDF"].inputs["Base Color"])
+            tree.links.new(node.outputs["Color"], tree.nodes["Principled BSDF"].inputs["Emission Color"])
+            tree.nodes["Principled BSDF"].inputs["Emission Strength"].default_value = 1.0
+        else:
+            tree.links.new(node.outputs["Color"], tree.nodes["Diffuse BSDF"].inputs["Color"])
+    bake_ours(cells)
+    for name, values in first.items():
+        assert np.array_equal(colors(bpy.data.objects[name].data, "Radiosity"), values)
+        assert values.max() > 0
+
+
+def test_layer_shown_by_emission_alone(cells):
+    """The surface is an Emission of our layer; the material's own shader is still there, unlinked."""
+    empty()
+    plane(n=2, material=diffuse("d", (0.6, 0.3, 0.1)))
+    lamp("POINT", 20.0, location=(0.5, 0.5, 1.5))
+    bake_ours(cells)
+    first = colors(bpy.data.objects["plane"].data, "Radiosity")
+    tree = bpy.data.materials["d"].node_tree
+    node, emission = tree.nodes.new("ShaderNodeVertexColor"), tree.nodes.new("ShaderNodeEmission")
+    node.layer_name = "Radiosity"
+    tree.links.new(node.outputs["Color"], emission.inputs["Color"])
+    tree.links.new(emission.outputs[0], tree.nodes["Material Output"].inputs["Surface"])
+    bake_ours(cells)
+    assert np.array_equal(colors(bpy.data.objects["plane"].data, "Radiosity"), first)
