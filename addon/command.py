@@ -104,7 +104,7 @@ def _parser():
     )
     accuracy = bake.add_mutually_exclusive_group()
     accuracy.add_argument("--error", type=percent, metavar="2%", help="relative error to reach")
-    accuracy.add_argument("--preset", choices=PRESETS, default="good", help="10, 2 or 0.5 %% error (default: good)")
+    accuracy.add_argument("--preset", choices=PRESETS, help="10, 2 or 0.5 %% error (default: good)")
     bake.add_argument(
         "--layers", type=_layers, default=("Radiosity", "Lighting"), metavar="A,B", help=", ".join(LAYERS)
     )
@@ -154,9 +154,10 @@ def _bake_file(path, arguments, several):
         _check_writable(place)
     if path:
         _open(source)
+    written_by = tuple(bpy.data.version)
     context = _context(arguments)
     options = Options(
-        error=arguments.error or PRESETS[arguments.preset], layers=arguments.layers, domain=arguments.domain.upper(),
+        error=arguments.error or PRESETS[arguments.preset or "good"], layers=arguments.layers, domain=arguments.domain.upper(),
         objects=tuple(arguments.objects), side=arguments.side, cells=arguments.cells, seed=arguments.seed,
         max_patch=arguments.max_patch, shared=arguments.shared, strict=arguments.strict,
     )  # fmt: skip
@@ -178,6 +179,9 @@ def _bake_file(path, arguments, several):
     if not arguments.quiet:
         for finding in job.result.survey.health:
             print(f"{finding.object}: {finding.finding}; {finding.action}", flush=True)
+        if bpy.app.version[:2] > written_by[:2]:
+            old, new = (".".join(map(str, v[:2])) for v in (written_by, bpy.app.version))
+            print(f"{output} is a file of Blender {new}, which {old} may not open", flush=True)
         print(f"{os.path.basename(source)}: {summary(job.result)}; saved {output}", flush=True)
 
 

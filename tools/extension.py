@@ -12,25 +12,22 @@ import tomllib
 from pathlib import Path
 
 ROOT = Path(__file__).parent.parent
-PYTHONS = ("311", "313")
-PLATFORMS = {
-    "linux": ("manylinux_2_28_x86_64", "manylinux_2_27_x86_64", "manylinux2014_x86_64"),
-    "windows": ("win_amd64",),
-    "macos": ("macosx_13_0_arm64",),
-}
+LINUX = ("manylinux_2_28_x86_64", "manylinux_2_27_x86_64", "manylinux2014_x86_64")
+# Blender's own builds have Python 3.11 (4.2 to 5.0) or 3.13 (5.1 and 5.2); a Linux distribution may take its own.
+BUILDS = [(python, names) for python in ("311", "313") for names in (LINUX, ("win_amd64",), ("macosx_13_0_arm64",))]
+BUILDS.append(("314", LINUX))
 
 
 def fetch_wheels(folder):
     """Download every wheel of wheels.txt into a folder; checksums are checked by pip."""
-    for python in PYTHONS:
-        for names in PLATFORMS.values():
-            platforms = [word for name in names for word in ("--platform", name)]
-            subprocess.run(
-                [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-deps",
-                 "--only-binary=:all:", "--require-hashes", "--implementation", "cp", "--python-version", python,
-                 "--abi", f"cp{python}", "--abi", "none", *platforms, "-d", folder, "-r", ROOT / "wheels.txt"],
-                check=True,
-            )  # fmt: skip
+    for python, names in BUILDS:
+        platforms = [word for name in names for word in ("--platform", name)]
+        subprocess.run(
+            [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-deps",
+             "--only-binary=:all:", "--require-hashes", "--implementation", "cp", "--python-version", python,
+             "--abi", f"cp{python}", "--abi", "none", *platforms, "-d", folder, "-r", ROOT / "wheels.txt"],
+            check=True,
+        )  # fmt: skip
 
 
 def blender_tool():

@@ -1,0 +1,244 @@
+"""Meshes as they render: modifiers, instances, mirrored and stretched objects, what is hidden; and where results go."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy")
+from cell_radiosity.addon.errors import Refused  # noqa: E402
+from cell_radiosity.addon.read_scene import read_scene  # noqa: E402
+
+from blender_scenes import bake_ours, colors, cube, diffuse, empty, lamp, mesh_object, plane  # noqa: E402
+
+
+def read():
+    bpy.context.view_layer.update()
+    return read_scene(bpy.context)[0]
+
+
+def lit_room(**floor):
+    """A floor, a wall and a lamp."""
+    empty()
+    plane("wall", n=4, location=(1, 0, 1), rotation_euler=(0, -np.pi / 2, 0), material=diffuse("red", (0.8, 0.1, 0.1)))
+    lamp("POINT", 300.0, location=(-0.3, 0.2, 1.2), shadow_soft_size=0.05)
+    return plane("floor", n=4, **floor)
+
+
+@pytest.mark.parametrize("scale", [(1, 1, 1), (-1, 1, 1), (-1, -2, 0.5), (2, 0.5, -3)])
+def test_mirrored_and_stretched_objects(scale):
+    """World positions are the matrix's; fronts stay where Blender shows them, outside."""
+    empty()
+    cube(scale=scale, rotation_euler=(0.3, 0.5, 0.7), location=(1, 2, 3))
+    scene = read()
+    center = np.array((1, 2, 3.0))
+    a, b, c = np.moveaxis(scene.vertices[scene.triangles], 1, 0)
+    outward = (scene.triangle_normal_area[0] * ((a + b + c) / 3 - center)).sum(axis=1)
+    assert (outward > 0).all()
+    normal = scene.corner_normal[scene.triangle_corner[:, 0]]
+    np.testing.assert_allclose((normal * scene.triangle_normal_area[0]).sum(axis=1), 1.0, atol=1e-6)
+    assert np.prod(np.abs(scale)) * 8 == pytest.approx((np.cross(b - a, c - a) * a).sum() / 6 - 0, rel=1e-5)
+
+
+def test_a_mirrored_object_is_baked_like_its_applied_twin(cells):
+    """The same light at the same places, whether the scale is in the matrix or in the mesh."""
+    found = {}
+    for way in ("matrix", "mesh"):
+        floor = lit_room()
+        if way == "matrix":
+            floor.scale = (-1.0, 1.5, 1.0)
+        else:
+            for v in floor.data.vertices:
+                v.co = (-v.co.x, 1.5 * v.co.y, v.co.z)
+            floor.data.flip_normals()
+        bake_ours(cells, layers=("Lighting",), domain="POINT", error=0.01)
+        place = np.array([(floor.matrix_world @ v.co)[:] for v in floor.data.vertices]).round(5)
+        order = np.lexsort(place.T)
+        found[way] = colors(floor.data, "Lighting")[order]
+    assert found["mesh"].min() > 0
+    np.testing.assert_allclose(found["matrix"], found["mesh"], rtol=0.08)
+    assert found["matrix"].mean() == pytest.approx(found["mesh"].mean(), rel=0.01)
+
+
+def test_instances_cast_light_and_are_real_geometry():
+    empty()
+    cube("block", size=0.2)
+    parent = plane("parent", n=2)
+    parent.instance_type = "VERTS"
+    bpy.data.objects["block"].parent = parent
+    scene = read()
+    assert scene.objects.count("block") == 10  # itself, as Cycles renders it, and one at each vertex
+    assert scene.written.sum() == 2  # the plane and the block; instances cannot hold a result of their own
+
+
+def test_collection_instances():
+    empty()
+    inner = bpy.data.collections.new("inner")
+    block = cube("block", size=0.5)
+    bpy.context.scene.collection.objects.unlink(block)
+    inner.objects.link(block)
+    for k in range(3):
+        holder = bpy.data.objects.new(f"holder {k}", None)
+        holder.instance_type, holder.instance_collection, holder.location = "COLLECTION", inner, (2 * k, 0, 0)
+        bpy.context.scene.collection.objects.link(holder)
+    plane()
+    scene = read()
+    assert scene.objects.count("block") == 3
+    assert scene.bounds[1][0] == pytest.approx(4.25)
+
+
+def test_what_is_hidden_takes_no_part():
+    empty()
+    plane("seen")
+    for name, hide in (("not rendered", "hide_render"), ("no viewport", "hide_viewport")):
+        setattr(plane(name), hide, True)
+    plane("eye closed").hide_set(True)
+    dark = bpy.data.collections.new("dark")
+    bpy.context.scene.collection.children.link(dark)
+    dark.hide_render = True
+    inside = plane("in dark collection")
+    bpy.context.scene.collection.objects.unlink(inside)
+    dark.objects.link(inside)
+    scene = read()
+    assert scene.objects == ("seen",)
+    named = {f.object for f in scene.health}
+    assert named == {"no viewport", "eye closed"}  # these would be rendered; the others are meant to be left out
+
+
+def test_modifiers_that_keep_the_polygons_are_written_to_the_mesh(cells):
+    floor = lit_room()
+    modifier = floor.modifiers.new("wave", "SIMPLE_DEFORM")
+    modifier.deform_method, modifier.angle = "BEND", 0.5
+    before = set(bpy.data.objects.keys())
+    bake_ours(cells)
+    assert "Radiosity" in floor.data.color_attributes
+    assert set(bpy.data.objects.keys()) == before
+
+
+def test_modifiers_that_change_the_polygons_write_to_a_copy(cells):
+    """The result is an object of its own; the next bake replaces it, and never reads it as scene."""
+    floor = lit_room()
+    floor.modifiers.new("array", "ARRAY").count = 2
+    job = bake_ours(cells)
+    copy = bpy.data.objects["floor_radiosity"]
+    assert len(copy.data.polygons) == 32
+    assert not copy.modifiers
+    assert "Radiosity" in copy.data.color_attributes
+    assert "Radiosity" not in floor.data.color_attributes
+    assert floor.hide_render
+    first = colors(copy.data, "Radiosity")
+    objects = set(bpy.data.objects.keys())
+    again = bake_ours(cells)
+    assert set(bpy.data.objects.keys()) == objects
+    assert again.scene.objects == job.scene.objects
+    assert np.array_equal(colors(bpy.data.objects["floor_radiosity"].data, "Radiosity"), first)
+
+
+def test_shared_meshes_get_a_copy_each(cells):
+    """Linked duplicates: each has its own light afterwards, none is overwritten by another's."""
+    floor = lit_room()
+    twin = bpy.data.objects.new("twin", floor.data)
+    twin.location = (0, 0, -3)
+    bpy.context.scene.collection.objects.link(twin)
+    bake_ours(cells)
+    assert floor.data != twin.data
+    assert colors(floor.data, "Lighting").mean() > 2 * colors(twin.data, "Lighting").mean()
+
+
+def test_an_attribute_of_the_layers_name_that_is_not_ours_stops_the_bake(cells):
+    floor = lit_room()
+    floor.data.attributes.new("Lighting", "FLOAT", "POINT")
+    with pytest.raises(Refused, match="floor.*'Lighting'"):
+        bake_ours(cells)
+    assert "Radiosity" not in bpy.data.objects["wall"].data.color_attributes
+
+
+def test_domains_and_layers(cells):
+    """Direct + Indirect = Lighting; a POINT layer is the mean of the corners; colors above 1 are kept."""
+    floor = lit_room()
+    bake_ours(cells, layers=("Radiosity", "Lighting", "Direct", "Indirect"))
+    corner = {n: colors(floor.data, n) for n in ("Radiosity", "Lighting", "Direct", "Indirect")}
+    np.testing.assert_allclose(corner["Direct"] + corner["Indirect"], corner["Lighting"], rtol=1e-6)
+    np.testing.assert_allclose(corner["Radiosity"], 0.8 * corner["Lighting"], rtol=1e-6)
+    assert corner["Lighting"].max() > 1
+    bake_ours(cells, layers=("Lighting",), domain="POINT")
+    assert floor.data.color_attributes["Lighting"].domain == "POINT"
+    vertex = [loop.vertex_index for loop in floor.data.loops]
+    mean = np.stack([np.bincount(vertex, corner["Lighting"][:, c]) for c in range(3)], 1) / np.bincount(vertex)[:, None]
+    np.testing.assert_allclose(colors(floor.data, "Lighting"), mean, rtol=1e-5)
+    assert floor.data.color_attributes.active_color.name == "Lighting"
+
+
+def ball(smooth):
+    """A sphere on a floor in even light."""
+    empty(world=(1, 1, 1))
+    import bmesh
+
+    mesh = bpy.data.meshes.new("ball")
+    b = bmesh.new()
+    bmesh.ops.create_uvsphere(b, u_segments=24, v_segments=12, radius=1.0)
+    b.to_mesh(mesh)
+    mesh.polygons.foreach_set("use_smooth", [smooth] * len(mesh.polygons))
+    made = bpy.data.objects.new("ball", mesh)
+    bpy.context.scene.collection.objects.link(made)
+    plane("floor", size=6.0, n=4, location=(0, 0, -1.2), material=diffuse("black", (0, 0, 0)))
+    return made
+
+
+def corner_spread(mesh, values):
+    """Largest difference (V,) between the corners of each vertex."""
+    vertex = np.array([loop.vertex_index for loop in mesh.loops])
+    high, low = np.full(len(mesh.vertices), -np.inf), np.full(len(mesh.vertices), np.inf)
+    np.maximum.at(high, vertex, values)
+    np.minimum.at(low, vertex, values)
+    return high - low
+
+
+@pytest.mark.parametrize("domain", ["CORNER", "POINT"])
+def test_a_smooth_ball_shows_no_facets(cells, domain):
+    """Corners of a vertex agree, and light falls evenly from top to bottom: neighbors along a ring are alike."""
+    made = ball(smooth=True)
+    bake_ours(cells, layers=("Lighting",), domain=domain, error=0.005)
+    values = colors(made.data, "Lighting")[:, 0]
+    if domain == "CORNER":
+        assert corner_spread(made.data, values).max() == 0.0
+        vertex = np.array([loop.vertex_index for loop in made.data.loops])
+        values = np.bincount(vertex, values) / np.bincount(vertex)
+    height = np.array([v.co.z for v in made.data.vertices]).round(4)
+    for z in np.unique(height):
+        ring = values[height == z]
+        assert np.ptp(ring) < 0.03
+
+
+@pytest.mark.parametrize("domain", ["CORNER", "POINT"])
+def test_a_flat_cube_has_clean_edges(cells, domain):
+    """In even light from above: the corners of one face are alike, and differ from those of the next face."""
+    empty()
+    block = cube()
+    lamp("SUN", 3.0, angle=0.0, rotation_euler=(0.5, 0.3, 0))
+    bake_ours(cells, layers=("Lighting",), domain=domain)
+    values = colors(block.data, "Lighting")[:, 0]
+    if domain == "POINT":
+        assert np.isfinite(values).all()
+        return
+    for p in block.data.polygons:
+        assert np.ptp(values[p.loop_start : p.loop_start + 4]) < 1e-6
+    assert len(np.unique(values.round(5))) >= 3
+
+
+def test_bad_data_in_one_object_is_named_and_the_rest_is_baked(cells):
+    floor = lit_room()
+    bad = mesh_object("bad", [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 2)], [(0, 1, 2, 3), (0, 1, 4)])
+    bad.data.vertices[4].co = (float("nan"), 0, 0)
+    flat = mesh_object("flat", [(0, 0, 1), (1, 0, 1), (2, 0, 1)], [(0, 1, 2)])
+    empty_slot = plane("empty slot", n=1, location=(0, 0, -0.5))
+    empty_slot.data.materials.append(None)
+    job = bake_ours(cells)
+    named = {f.object for f in job.result.survey.health}
+    assert {"bad", "flat", "empty slot"} <= named
+    assert np.isfinite(colors(floor.data, "Lighting")).all()
+    assert colors(floor.data, "Lighting").max() > 0
+    assert np.isfinite(colors(bad.data, "Lighting")).all()
+    assert not colors(flat.data, "Lighting").any()
+    with pytest.raises(Refused, match="bad|flat|empty slot"):
+        bake_ours(cells, strict=True)
