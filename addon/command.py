@@ -179,9 +179,9 @@ def _bake_file(path, arguments, several):
     if not arguments.quiet:
         for finding in job.result.survey.health:
             print(f"{finding.object}: {finding.finding}; {finding.action}", flush=True)
-        if bpy.app.version[:2] > written_by[:2]:
-            old, new = (".".join(map(str, v[:2])) for v in (written_by, bpy.app.version))
-            print(f"{output} is a file of Blender {new}, which {old} may not open", flush=True)
+        if bpy.app.version >= (5, 0, 0) > written_by:
+            new = ".".join(map(str, bpy.app.version[:2]))
+            print(f"{output} has the file format of Blender {new}: Blenders before 4.5 cannot open it", flush=True)
         print(f"{os.path.basename(source)}: {summary(job.result)}; saved {output}", flush=True)
 
 

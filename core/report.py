@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import os
-import tempfile
 
 _NUMBER = {"type": ["number", "null"]}
 _COUNT = {"type": ["integer", "null"]}
@@ -107,11 +106,11 @@ def make_report(bake, *, scene, version, layers, domain, start, read, write):
 
 def write_json(report, path):
     """Write a report to a file, whole or not at all."""
-    folder = os.path.dirname(os.path.abspath(path))
-    with tempfile.NamedTemporaryFile("w", dir=folder, suffix=".tmp", delete=False, encoding="utf-8") as file:
+    temporary = f"{path}.tmp{os.getpid()}"
+    with open(temporary, "w", encoding="utf-8") as file:
         json.dump(report, file, indent=1, allow_nan=False)
         file.write("\n")
-    os.replace(file.name, path)
+    os.replace(temporary, path)
 
 
 def _points_by_object(bake):

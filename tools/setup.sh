@@ -34,8 +34,14 @@ if ! [ -x .venv/bin/python ] || [ "$(cat .venv/.place 2>/dev/null)" != "$PWD" ];
 fi
 rm -rf build
 echo "setup: installing into .venv (some 450 MB the first time) ..."
-.venv/bin/python -m pip install --quiet --disable-pip-version-check --upgrade "pip>=24" "setuptools>=77"
-.venv/bin/python -m pip install --quiet --disable-pip-version-check --editable ".[blender,test,plot]"
+install() {
+    .venv/bin/python -m pip install --quiet --disable-pip-version-check "$@" >.venv/setup.log 2>&1 && return
+    cat .venv/setup.log >&2
+    echo "setup: could not install $*; see above" >&2
+    exit 1
+}
+install --upgrade "pip>=24"
+install --editable ".[blender,test,plot]"
 
 libraries="libx11-6 libxrender1 libxfixes3 libxi6 libxkbcommon0 libsm6 libgl1"
 if ! .venv/bin/python -c 'import bpy' >/dev/null 2>&1; then
