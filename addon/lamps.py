@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..core.scene import Lamp
+from .materials import node_tree
 
 
 def read_lamp(light, matrix, name, ignored):
@@ -72,8 +73,8 @@ def _multiplier(light, name, ignored):
         factor *= 2.0**light.exposure
     if getattr(light, "use_temperature", False):
         factor *= np.array(light.temperature_color, float)
-    if light.use_nodes and light.node_tree:
-        output = light.node_tree.get_output_node("CYCLES")
+    if tree := node_tree(light):
+        output = tree.get_output_node("CYCLES")
         links = output.inputs["Surface"].links if output else ()
         node = links[0].from_node if links else None
         if node is not None and node.type == "EMISSION" and not any(i.is_linked for i in node.inputs):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
+import bpy
 import numpy as np
 
 from ..core.scene import Material
@@ -63,11 +64,12 @@ def read_material(material, object, ignored):
     """
     if material is None:
         return Material(), None
-    output = material.node_tree.get_output_node("CYCLES") if material.use_nodes and material.node_tree else None
+    tree = node_tree(material)
+    output = tree.get_output_node("CYCLES") if tree else None
     if output is None:
         return viewport_material(material), None
     graph = Graph()
-    surface = _shader(_shown_socket(output, material.node_tree), graph)
+    surface = _shader(_shown_socket(output, tree), graph)
     if output.inputs["Volume"].is_linked:
         graph.notes.append("its volume is left out")
     if output.inputs["Displacement"].is_linked:
@@ -111,6 +113,13 @@ class _Unlinked:
         self.from_node = node
 
 
+def node_tree(data):
+    """The node tree that a material, world or light uses, or None. From Blender 5.0 on materials and worlds always do."""
+    if bpy.app.version >= (5, 0, 0) and not isinstance(data, bpy.types.Light):
+        return data.node_tree
+    return data.node_tree if data.use_nodes else None
+
+
 def viewport_material(material):
     """The core's Material of a Blender material's viewport color."""
     return Material(material.name, tuple(np.clip(material.diffuse_color[:3], 0, 1)))
@@ -120,9 +129,12 @@ def read_world(world, ignored):
     """Radiance (3,) of a Blender world of one color; what varies is replaced by the viewport's color and ignored."""
     if world is None:
         return (0.0, 0.0, 0.0)
-    output = world.node_tree.get_output_node("CYCLES") if world.use_nodes and world.node_tree else None
+    tree = node_tree(world)
+    if tree is None:
+        return tuple(world.color)
+    output = tree.get_output_node("CYCLES")
     if output is None:
-        return tuple(world.color) if not world.use_nodes else (0.0, 0.0, 0.0)
+        return (0.0, 0.0, 0.0)
     try:
         links = output.inputs["Surface"].links
         return tuple(_background(links[0].from_node)) if links else (0.0, 0.0, 0.0)

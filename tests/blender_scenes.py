@@ -9,13 +9,19 @@ from cell_radiosity.addon.job import Job, Options
 from cell_radiosity.core.bake import run
 
 
+def use_nodes(data):
+    """Let a material or world use nodes; from Blender 5.0 on it always does."""
+    if bpy.app.version < (5, 0, 0):
+        data.use_nodes = True
+
+
 def empty(world=(0.0, 0.0, 0.0)):
     """An empty file with a world of one color."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
     scene.render.engine = "CYCLES"
     scene.world = bpy.data.worlds.new("World")
-    scene.world.use_nodes = True
+    use_nodes(scene.world)
     scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = (*world, 1.0)
     return scene
 
@@ -23,7 +29,7 @@ def empty(world=(0.0, 0.0, 0.0)):
 def diffuse(name, color):
     """A material with a Diffuse BSDF."""
     made = bpy.data.materials.new(name)
-    made.use_nodes = True
+    use_nodes(made)
     tree = made.node_tree
     tree.nodes.clear()
     shader = tree.nodes.new("ShaderNodeBsdfDiffuse")
@@ -35,7 +41,7 @@ def diffuse(name, color):
 def glowing(name, color, strength):
     """A material that only emits."""
     made = bpy.data.materials.new(name)
-    made.use_nodes = True
+    use_nodes(made)
     tree = made.node_tree
     tree.nodes.clear()
     shader = tree.nodes.new("ShaderNodeEmission")

@@ -10,12 +10,12 @@ from cell_radiosity.addon.read_scene import read_scene  # noqa: E402
 from cell_radiosity.core.patches import make_patches  # noqa: E402
 from cell_radiosity.core.surfaces import make_surfaces  # noqa: E402
 
-from blender_scenes import bake_ours, colors, diffuse, empty, glowing, lamp, plane  # noqa: E402
+from blender_scenes import bake_ours, colors, diffuse, empty, glowing, lamp, plane, use_nodes  # noqa: E402
 
 
 def principled(**inputs):
     made = bpy.data.materials.new("principled")
-    made.use_nodes = True
+    use_nodes(made)
     for name, value in inputs.items():
         made.node_tree.nodes["Principled BSDF"].inputs[name.replace("_", " ")].default_value = value
     return made
@@ -78,7 +78,7 @@ def test_diffuse_reflects_its_color():
 def test_no_material_is_blenders_default():
     empty()
     plane()
-    np.testing.assert_allclose(we_say()[0], cycles_says("DIFFUSE"), rtol=0.01)
+    np.testing.assert_allclose(we_say()[0], cycles_says("DIFFUSE") + cycles_says("GLOSSY"), rtol=0.01)
 
 
 def test_emission_and_its_strength():
