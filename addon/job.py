@@ -84,7 +84,7 @@ class Job:
         remove_copies(context.scene)
         patterns = self.options.objects
         wanted = (lambda name: any(fnmatchcase(name, p) for p in patterns)) if patterns else None
-        self.scene, self.targets = read_scene(context, wanted)
+        self.scene, self.targets = read_scene(context, wanted, self.options.shared)
         if not len(self.scene.triangles):
             raise Refused("there is no mesh to bake: no visible object with faces")
         if not self.targets:

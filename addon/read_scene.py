@@ -6,8 +6,10 @@ in the file is changed.
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, replace
 
+import bpy
 import numpy as np
 from mathutils import Matrix
 
@@ -37,11 +39,11 @@ class Target:
     same: bool
 
 
-def read_scene(context, wanted=None, spacing=1 / 200):
+def read_scene(context, wanted=None, shared="copy", spacing=1 / 200):
     """The core's Scene of a context's scene in its current frame, and the Targets that can be written.
 
     wanted: function of an object's name, whether its light is asked for; None asks for all. What is asked for never
-    limits what casts light. spacing: of samples on surfaces that only Cycles understands, in scene diagonals.
+    limits what casts light. shared: "skip" writes nothing to meshes that several objects share. spacing: of samples on surfaces that only Cycles understands, in scene diagonals.
     """
     depsgraph = context.evaluated_depsgraph_get()
     scene = depsgraph.scene
@@ -67,7 +69,8 @@ def read_scene(context, wanted=None, spacing=1 / 200):
             placed.append(_Placed(original, shape, matrix, own, shape.corner_order(mirrored(matrix))))
 
     corner = np.concatenate([[0], np.cumsum([len(m.corner_vertex) for m in meshes])]).astype(int)
-    written = [p.own and _writable(p.original, reader.health) for p in placed]
+    users = Counter(o.data for o in bpy.data.objects if o.type == "MESH") if shared == "skip" else Counter()
+    written = [p.own and _writable(p.original, users, reader.health) for p in placed]
     targets = tuple(
         Target(p.original.name, corner[k], corner[k + 1], p.order, p.shape.same_as(p.original.data))
         for k, p in enumerate(placed)
@@ -331,10 +334,16 @@ def _hidden(scene, depsgraph, rendered):
     ]  # fmt: skip
 
 
-def _writable(object, health):
+def _writable(object, users, health):
     """Whether an object's light can be written; if not, `health` says why."""
     if object.library or not object.data.is_editable:
         action = "its light was not written: make it local, or override it, to bake it"
         health.append(Finding(object.name, "its mesh is linked from another file", action))
+        return False
+    if users[object.data] > 1:
+        text = f"its mesh is shared by {users[object.data]} objects"
+        health.append(
+            Finding(object.name, text, "its light was not written, as asked for; --shared copy gives it its own")
+        )
         return False
     return True

@@ -145,10 +145,34 @@ def test_shared_meshes_get_a_copy_each(cells):
     assert colors(floor.data, "Lighting").mean() > 2 * colors(twin.data, "Lighting").mean()
 
 
+def test_shared_meshes_can_be_skipped(cells):
+    floor = lit_room()
+    bpy.context.scene.collection.objects.link(bpy.data.objects.new("twin", floor.data))
+    job = bake_ours(cells, shared="skip")
+    assert "Radiosity" not in floor.data.color_attributes
+    assert "Radiosity" in bpy.data.objects["wall"].data.color_attributes
+    assert {"floor", "twin"} == {f.object for f in job.result.survey.health}
+
+
+def test_linked_meshes_are_refused_by_name(cells, tmp_path):
+    """Writing to a linked mesh succeeds, and is lost when the file is saved."""
+    lit_room()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "library.blend"))
+    lit_room()
+    bpy.data.objects.remove(bpy.data.objects["floor"])
+    with bpy.data.libraries.load(str(tmp_path / "library.blend"), link=True) as (_, wanted):
+        wanted.objects = ["floor"]
+    bpy.context.scene.collection.objects.link(wanted.objects[0])
+    job = bake_ours(cells)
+    assert "Radiosity" in bpy.data.objects["wall"].data.color_attributes
+    assert [f.object for f in job.result.survey.health] == ["floor"]
+    assert job.scene.objects.count("floor") == 1  # it casts light all the same
+
+
 def test_an_attribute_of_the_layers_name_that_is_not_ours_stops_the_bake(cells):
     floor = lit_room()
     floor.data.attributes.new("Lighting", "FLOAT", "POINT")
-    with pytest.raises(Refused, match="floor.*'Lighting'"):
+    with pytest.raises(Refused, match=r"floor.*'Lighting'"):
         bake_ours(cells)
     assert "Radiosity" not in bpy.data.objects["wall"].data.color_attributes
 
@@ -240,5 +264,5 @@ def test_bad_data_in_one_object_is_named_and_the_rest_is_baked(cells):
     assert colors(floor.data, "Lighting").max() > 0
     assert np.isfinite(colors(bad.data, "Lighting")).all()
     assert not colors(flat.data, "Lighting").any()
-    with pytest.raises(Refused, match="bad|flat|empty slot"):
+    with pytest.raises(Refused, match=r"bad|flat|empty slot"):
         bake_ours(cells, strict=True)

@@ -1,0 +1,149 @@
+"""The host's rounds: power in balance after each, and the bound never below what is really missing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cell_radiosity.core.cells import LocalCells
+from cell_radiosity.core.host import Transport, fixed_point, solve
+from cell_radiosity.core.kernel import scene_arrays
+from cell_radiosity.core.lights import make_sources
+from cell_radiosity.core.patches import make_patches
+from cell_radiosity.core.surfaces import make_surfaces
+
+from scenes import Lamp, Material, Settings, World, box, join_meshes
+
+RAYS = 32
+
+
+def room(world=0.0, thin=0.0):
+    materials = [
+        Material("colored", (0.8, 0.5, 0.2), translucency=(0.0, thin, thin)),
+        Material("bright", (0.3, 0.4, 0.9), (2.0, 1.0, 0.5)),
+    ]
+    return join_meshes(
+        [
+            box(n=4, materials={"Z": 1}, faces=("x", "y", "Y", "z", "Z") if world else ("x", "X", "y", "Y", "z", "Z")),
+            box("block", (0.3, 0.3, 0.2), (0.6, 0.7, 0.5), 2, False),
+        ],
+        materials,
+        [Lamp("point", (3.0, 2.0, 1.0), (0.5, 0.2, 0.8))],
+        World((world,) * 3),
+    )
+
+
+SCENES = {"closed": room(), "open under a sky": room(0.5), "translucent": room(0.0, 0.15)}
+
+
+@pytest.fixture(params=SCENES)
+def start(request):
+    """A scene's Transport before the first round, and all its rows (2 N, RAYS)."""
+    scene = SCENES[request.param]
+    patches = make_patches(scene, 0.3)
+    sources, sampled = make_sources(scene)
+    surfaces = make_surfaces(scene, patches, sampled)
+    cells = LocalCells()
+    cells.start(scene_arrays(scene, patches, sources))
+    sides = np.arange(2 * len(patches))
+    direct, rows = cells.take(
+        [cells.submit("direct", sides=sides, samples=4, seed=0), cells.submit("rows", sides=sides, rays=RAYS, seed=0)]
+    )
+    sky = np.pi * np.asarray(scene.world.radiance)
+    return Transport(patches.area, surfaces, direct["direct"], sky, RAYS), rows["hits"]
+
+
+def everything(state, hits):
+    """Power (C, 2 N) that leaves the sides when all has been shot: the dense solve of the same rows."""
+    count = hits.shape[0]
+    share = np.zeros((count, count))
+    for k in range(RAYS):
+        met = hits[:, k] >= 0
+        np.add.at(share, (hits[met, k], np.flatnonzero(met)), 1 / RAYS)
+    sky = state.area * (hits < 0).mean(axis=1) * state.sky
+    leaving = []
+    for c in range(3):
+        rho, tau = state.surfaces.reflectance[c], state.surfaces.translucency[c]
+        send = np.diag(rho)
+        other = np.arange(count) ^ 1
+        send[other, np.arange(count)] += tau
+        first = state.own[c] + send @ (state.area * state.direct[c] + sky[c])
+        leaving.append(np.linalg.solve(np.eye(count) - send @ share, first))
+    return np.stack(leaving)
+
+
+def test_balance_and_bound_after_every_round(start):
+    """emitted = absorbed + escaped + unshot to rounding; B is a lower bound; the bound covers what it lacks."""
+    state, hits = start
+    exact = everything(state, hits)
+    shot = np.zeros_like(exact)
+    taken = np.zeros(len(hits), bool)
+    rounds = 0
+    while len(batch := state.pick(taken)[:20]):
+        taken[batch] = True
+        before = state.unshot[:, batch].copy()
+        seen = state.surfaces.send(np.where(taken & ~state.rows.kept, state.area * (hits < 0).mean(1) * state.sky, 0.0))
+        shot[:, batch] += before + seen[:, batch]
+        state.add(batch, hits[batch])
+        rounds += 1
+        balance = state.absorbed + state.escaped + state.unshot.sum(axis=1)
+        np.testing.assert_allclose(balance, state.emitted, rtol=1e-12)
+        leaving = shot + state.unshot
+        assert (leaving <= exact * (1 + 1e-9) + 1e-12).all()
+        inside, outside = state.missing()
+        missing = (exact - leaving).sum() / state.emitted.sum()
+        # Without rows, all of the sky is counted as ahead: the shares are of more power than has been emitted.
+        scale = (state.emitted.sum() + state.ahead.sum()) / state.emitted.sum()
+        assert missing <= (inside + outside) * scale * (1 + 1e-9)
+    assert rounds > 3
+
+
+def test_settled_is_the_dense_solve_of_the_rows(start):
+    """After `settle`, every side with a row gathers over it what the others send: H = direct + F (own + send H)."""
+    state, hits = start
+    everyone = np.arange(len(hits))
+    state.add(everyone, hits)
+    irradiance, sweeps, bound = state.settle(1e-9)
+    light = np.column_stack([state.surfaces.found + state.surfaces.send(irradiance), state.sky[:, 0]])
+    gathered = state.direct + light[:, hits].mean(axis=2)
+    np.testing.assert_allclose(irradiance, gathered, rtol=1e-7)
+    assert bound <= 1e-9
+    assert sweeps < 60
+    balance = state.absorbed + state.escaped + state.unshot.sum(axis=1)
+    np.testing.assert_allclose(balance, state.emitted, rtol=1e-9)
+
+
+@pytest.mark.parametrize("largest", [0.3, 0.9, 0.999])
+def test_fixed_point_keeps_its_bound(rng, largest):
+    """Random rows with sums of `largest`: the bound is never below the true error, and few updates are needed."""
+    size = 200
+    matrix = rng.random((size, size)) ** 8
+    matrix *= largest / matrix.sum(axis=1, keepdims=True)
+    right = rng.random((1, size))
+    exact = np.linalg.solve(np.eye(size) - matrix, right[0])
+    weight = rng.random(size)
+    for target in (1e-1, 1e-3, 1e-6):
+        found, count, bound = fixed_point(
+            lambda x: right + x @ matrix.T, np.zeros((1, size)), np.array([largest]), weight, target
+        )
+        error = np.abs(found[0] - exact).max() / ((weight * found[0]).sum() / weight.sum())
+        assert error <= bound * (1 + 1e-6) + 1e-12
+        assert bound <= target
+        assert count < 60
+
+
+def test_nothing_gives_light():
+    """No light at all: zeros, not NaN, and no ray for rows."""
+    scene = join_meshes([box(n=2)])
+    patches = make_patches(scene)
+    surfaces = make_surfaces(scene, patches, np.zeros(24, bool))
+    cells = LocalCells()
+    cells.start(scene_arrays(scene, patches, make_sources(scene)[0]))
+    steps = solve(patches, surfaces, np.zeros(3), cells, Settings())
+    with pytest.raises(StopIteration) as end:
+        while True:
+            assert next(steps).rows == 0
+    solution = end.value.value
+    assert not solution.irradiance.any()
+    assert solution.converged
+    assert solution.energy["emitted_w"] == 0.0
