@@ -17,6 +17,7 @@ from .patches import CUTS, join_elements
 from .polygons import clip_polygons
 from .records import to_arrays
 from .scene import normal_and_area
+from .vectors import counted, cross, dot, length
 
 HEIGHT = np.float32(5e-5)  # of the rays above the patch, in scene diagonals
 INSET = 1e-3  # how far they start inside the patch's corners
@@ -59,7 +60,7 @@ def find_contacts(kernel, ids):
             met = np.flatnonzero((triangle >= 0) & (distance < 1.0))
             corner = kernel.vertices[kernel.triangles[triangle[met]]]
             facing = normal_and_area(corner[:, 0], corner[:, 1], corner[:, 2])[0]
-            across = np.abs((facing * normal[met]).sum(axis=1)) < ALONG
+            across = np.abs(dot(facing, normal[met])) < ALONG
             polygon = kernel.arrays["scene.triangle_polygon"][triangle[met]]
             across &= polygon != kernel.patches.polygon[own][owner[met]]
             met = met[across]
@@ -91,7 +92,7 @@ def _paths(patches, ids):
 def _cut(scene, patches, ids, blocker):
     """Patches with those of ids (K,) cut by the planes of triangles (K,), and the ids of what may be cut again."""
     normal = scene.triangle_normal_area[0][blocker]
-    plane = np.column_stack([normal, (normal * scene.vertices[scene.triangles[blocker, 0]]).sum(axis=1)])
+    plane = np.column_stack([normal, dot(normal, scene.vertices[scene.triangles[blocker, 0]])])
 
     # Pieces of one cell share a record of its planes: one of them at a time is cut, and while there are planes left.
     record_of = np.full(len(patches), -1)
@@ -147,9 +148,8 @@ def _cut(scene, patches, ids, blocker):
 
 def _elements(patches, ids):
     """The elements of patches: row in ids (M,) and element (M,)."""
-    count = np.diff(patches.element_start)[ids]
-    owner = np.repeat(np.arange(len(ids)), count)
-    return owner, np.arange(len(owner)) - np.repeat(np.cumsum(count) - count - patches.element_start[ids], count)
+    owner, number = counted(np.diff(patches.element_start)[ids])
+    return owner, number + patches.element_start[ids][owner]
 
 
 def _half(patches, element, plane, sign):
@@ -160,12 +160,9 @@ def _half(patches, element, plane, sign):
     corner = np.stack([p, p + a, np.where(square[:, None], p + a + b, p + b), p + b], axis=1)
     value = sign * (np.einsum("kvd,kd->kv", corner, plane[:, :3]) - plane[:, 3:])
     polygon, sides = clip_polygons(corner, np.where(square, 4, 3), value)
-    fan = np.maximum(sides - 2, 0)
-    which = np.repeat(np.arange(len(element)), fan)
-    step = np.arange(len(which)) - np.repeat(np.cumsum(fan) - fan, fan)
+    which, step = counted(np.maximum(sides - 2, 0))
     first = polygon[which, 0]
     frame = np.stack([first, polygon[which, step + 1] - first, polygon[which, step + 2] - first], axis=1)
-    normal = np.cross(frame[:, 1], frame[:, 2])
-    area = np.sqrt((normal * normal).sum(axis=1)) / 2
+    area = length(cross(frame[:, 1], frame[:, 2])) / 2
     solid = area > 0
     return which[solid], frame[solid], area[solid]

@@ -12,9 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from .kernel import blocks
-from .lights import FLAT, test_rays, unoccluded, visible_share
+from .lights import FLAT, test_rays, unoccluded
 from .records import to_arrays
 from .sampling import R2, hemisphere, lattice, scatter, tangents
+from .vectors import counted, dot, length, ratio
 
 TASK_RAYS = 1 << 17  # of one task: some 20 to 50 ms
 TABLES = 64  # direction tables, each turned by a step of its own; a point's shift picks one
@@ -118,11 +119,11 @@ def smooth(points, light, reach, links):
     later = here < there
     here, there = here[later][links], there[later][links]
     apart = points.position[here] - points.position[there]
-    distance = np.sqrt((apart * apart).sum(axis=1))
+    distance = length(apart)
     degree = np.maximum(np.diff(points.neighbor_start), 1)
     share = np.minimum(reach[here], reach[there]) / np.maximum(distance, 1e-300)
     weight = np.minimum(1.0, share * share / 4) / np.maximum(degree[here], degree[there])
-    weight[(points.normal[here] * points.normal[there]).sum(axis=1) < SMOOTH] = 0.0
+    weight[dot(points.normal[here], points.normal[there]) < SMOOTH] = 0.0
 
     def diffuse(light):
         for _ in range(STEPS):
@@ -164,11 +165,11 @@ def _direct(kernel, start, stop, rays, seed):
     def test(s, who, first, count):
         """Sums of the weights (K,) of `count` (K,) test rays of each of `who` (K,), from number `first` on, and of
         those that get through."""
-        begin = np.cumsum(count) - count
-        owner = np.repeat(np.arange(len(who)), count)
-        a, b = _test_places(ids[who][owner], first + np.arange(len(owner)) - begin[owner], s, seed)
+        owner, number = counted(count)
+        a, b = _test_places(ids[who][owner], first + number, s, seed)
         each = (x[who][owner] for x in (position, normal, geometric, origin))
         weight, seen = test_rays(sources, s, kernel.caster, *each, a, b)
+        begin = np.cumsum(count) - count
         return np.add.reduceat(weight, begin), np.add.reduceat(seen, begin)
 
     factor = np.stack([unoccluded(sources, s, position, normal) for s in range(len(sources))], axis=1)
@@ -180,8 +181,8 @@ def _direct(kernel, start, stop, rays, seed):
 
     # Where the light is partly hidden: more rays, by the source's share of what the point could get.
     possible = factor * sources.strength.max(axis=1)
-    share = visible_share(possible, possible.sum(axis=1, keepdims=True))
-    dim = (possible * visible_share(seen, weight)).sum(axis=1) < DIM * possible.sum(axis=1)
+    share = ratio(possible, possible.sum(axis=1, keepdims=True))
+    dim = (possible * ratio(seen, weight)).sum(axis=1) < DIM * possible.sum(axis=1)
     for s in range(len(sources)):
         if _sharp(sources, s):
             continue
@@ -195,7 +196,7 @@ def _direct(kernel, start, stop, rays, seed):
             extra = test(s, more, TESTS, count[more])
             weight[more, s] += extra[0]
             seen[more, s] += extra[1]
-    arriving = (factor * visible_share(seen, weight))[: stop - start]
+    arriving = (factor * ratio(seen, weight))[: stop - start]
     return np.einsum("ks,sc->ck", arriving, sources.strength)
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from .polygons import polygon_factor
 from .sampling import tangents
 from .scene import newell_normals
+from .vectors import cross, dot, length, ratio, unit
 
 FLAT, BALL, SUN = 0, 1, 2  # kinds of source: a flat polygon, a point or spot lamp, a sun
 MOST_SOURCES = 32  # emitting faces beyond the strongest ones are found by the gather rays instead
@@ -70,20 +71,19 @@ def unoccluded(sources, s, position, normal):
     """(K,) irradiance per unit of strength that source s would give points with nothing in between."""
     kind = sources.kind[s]
     if kind == SUN:
-        return np.maximum(-(normal * sources.direction[s]).sum(axis=1), 0.0)
+        return np.maximum(-dot(normal, sources.direction[s]), 0.0)
     if kind == FLAT:
         factor = polygon_factor(position, normal, sources.polygon(s))
         if not sources.two_sided[s]:
-            factor *= ((position - sources.position[s]) * sources.direction[s]).sum(axis=1) > 0
+            factor *= dot(position - sources.position[s], sources.direction[s]) > 0
         return factor
     toward = sources.position[s] - position
-    square = (toward * toward).sum(axis=1)
+    square = dot(toward, toward)
     distance = np.sqrt(square)
     radius = sources.radius[s]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        cosine = np.where(distance > 0, (toward * normal).sum(axis=1) / distance, 0.0)
-        spread = square + radius * radius if sources.soft[s] else np.maximum(square, radius * radius)
-        factor = np.where(spread > 0, np.maximum(cosine, 0.0) / spread, 0.0)
+    cosine = ratio(dot(toward, normal), distance)
+    spread = square + radius * radius if sources.soft[s] else np.maximum(square, radius * radius)
+    factor = ratio(np.maximum(cosine, 0.0), spread)
     if radius > 0:
         # A disk that the horizon cuts: Lambert's factor of the part above it.
         cut = np.abs(cosine) * np.sqrt(square + radius * radius) < radius
@@ -92,9 +92,7 @@ def unoccluded(sources, s, position, normal):
             factor[cut] = polygon_factor(position[cut], normal[cut], disk) / radius**2
     edge, blend = sources.cone[s]
     if edge > -1:
-        along = -(toward * sources.direction[s]).sum(axis=1)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            rise = np.where(distance > 0, along / distance, 0.0) - edge
+        rise = ratio(-dot(toward, sources.direction[s]), distance) - edge
         ramp = np.clip(rise / max((1.0 - edge) * blend, 1e-12), 0.0, 1.0)
         factor *= ramp * ramp * (3.0 - 2.0 * ramp)
     return factor
@@ -119,15 +117,9 @@ def patch_irradiance(sources, caster, centroid, position, normal, a, b):
         flat = (x[lit].reshape(len(lit) * places, -1) for x in (position, start))
         place, origin = flat
         weight, seen = test_rays(sources, s, caster, place, each, each, origin, a[lit].reshape(-1), b[lit].reshape(-1))
-        share = visible_share(seen.reshape(-1, places).sum(axis=1), weight.reshape(-1, places).sum(axis=1))
+        share = ratio(np.einsum("kn->k", seen.reshape(-1, places)), np.einsum("kn->k", weight.reshape(-1, places)))
         total[lit] += (factor[lit] * share)[:, None] * sources.strength[s]
     return total
-
-
-def visible_share(seen, weight):
-    """Visible shares 0..1 of sums of weights; 0 where there is no weight."""
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.where(weight > 0, seen / weight, 0.0)
 
 
 def test_rays(sources, s, caster, position, normal, geometric, start, a, b):
@@ -139,22 +131,22 @@ def test_rays(sources, s, caster, position, normal, geometric, start, a, b):
     """
     if sources.kind[s] == SUN:
         toward = _sun_directions(sources, s, a, b)
-        weight = (toward * normal).sum(axis=1)
+        weight = dot(toward, normal)
     else:
         aim = _on_polygon(sources.polygon(s), a, b) if sources.kind[s] == FLAT else _on_disk(sources, s, position, a, b)
         toward = aim - position
         # Equal parts of the source give cos cos' / r^2, with cos' = height / r on a flat one.
-        weight = (toward * normal).sum(axis=1)
+        weight = dot(toward, normal)
         if sources.kind[s] == FLAT:
-            square = (toward * toward).sum(axis=1)
+            square = dot(toward, toward)
             weight /= np.maximum(square * square, 1e-300)
-    weight = np.where((toward * geometric).sum(axis=1) > 0, np.maximum(weight, 0.0), 0.0)
+    weight = np.where(dot(toward, geometric) > 0, np.maximum(weight, 0.0), 0.0)
     cast = np.flatnonzero(weight)
     if sources.kind[s] == SUN:
         blocked = caster.blocked_toward(start[cast], toward[cast].astype(np.float32))
     elif sources.kind[s] == FLAT:
         # Aim at a place just above the face, on the side that is seen: the face does not block itself.
-        side = np.sign(-(toward[cast] * sources.direction[s]).sum(axis=1, keepdims=True))
+        side = np.sign(-dot(toward[cast], sources.direction[s]))[:, None]
         blocked = caster.blocked(start[cast], caster.start(aim[cast], side * sources.direction[s]))
     else:
         blocked = caster.blocked(start[cast], caster.place(aim[cast]))
@@ -169,7 +161,7 @@ def _mean_factor(sources, s, centroid, position, normal):
     places = position.shape[1]
     factor = unoccluded(sources, s, centroid, normal)
     if sources.kind[s] != SUN:
-        spread = np.sqrt(((position - centroid[:, None]) ** 2).sum(axis=-1).max(axis=1))
+        spread = length(position - centroid[:, None]).max(axis=1)
         near = np.flatnonzero(spread > NEAR * _distance(sources, s, centroid))
         flat = position[near].reshape(-1, 3)
         factor[near] = unoccluded(sources, s, flat, np.repeat(normal[near], places, axis=0)).reshape(-1, places).mean(1)
@@ -180,10 +172,9 @@ def _distance(sources, s, position):
     """(K,) lower bound on the distance from points to source s."""
     toward = position - sources.position[s]
     if sources.kind[s] != FLAT:
-        return np.sqrt((toward * toward).sum(axis=1))
-    reach = np.sqrt(((sources.polygon(s) - sources.position[s]) ** 2).sum(axis=1).max())
-    height = np.abs((toward * sources.direction[s]).sum(axis=1))
-    return np.maximum(np.sqrt((toward * toward).sum(axis=1)) - reach, height)
+        return length(toward)
+    reach = length(sources.polygon(s) - sources.position[s]).max()
+    return np.maximum(length(toward) - reach, np.abs(dot(toward, sources.direction[s])))
 
 
 def _source(kind, strength, position, direction, two_sided=False, radius=0.0, soft=True, cone=(-1, 0), corners=()):
@@ -235,9 +226,7 @@ def _of_lamp(lamp):
 
 def _facing_disk(center, toward, radius):
     """(K, V, 3) polygons, equal in area to a disk about `center` that faces the points center - toward."""
-    distance = np.sqrt((toward * toward).sum(axis=1, keepdims=True))
-    axis = np.where(distance > 0, toward / np.maximum(distance, 1e-300), [0.0, 0.0, 1.0])
-    t1, t2 = tangents(axis)
+    t1, t2 = tangents(unit(toward, (0.0, 0.0, 1.0)))
     turn = 2 * np.pi * np.arange(DISK_SIDES) / DISK_SIDES
     reach = radius * np.sqrt(2 * np.pi / (DISK_SIDES * np.sin(2 * np.pi / DISK_SIDES)))
     return center + reach * (np.cos(turn)[:, None] * t1[:, None] + np.sin(turn)[:, None] * t2[:, None])
@@ -246,7 +235,7 @@ def _facing_disk(center, toward, radius):
 def _on_polygon(corners, a, b):
     """(..., 3) places spread evenly over a convex polygon by a, b (...) in [0, 1)."""
     e1, e2 = corners[1:-1] - corners[0], corners[2:] - corners[0]
-    area = np.sqrt((np.cross(e1, e2) ** 2).sum(axis=1))
+    area = length(cross(e1, e2))
     if len(corners) == 4 and np.abs(e1[0] + corners[3] - corners[2]).max() <= 1e-9 * np.abs(e2[0]).max():
         return corners[0] + a[..., None] * e1[0] + b[..., None] * e2[1]
     upper = np.cumsum(area)
@@ -265,7 +254,7 @@ def _sun_directions(sources, s, a, b):
     x, y = _disk(a, b)
     t1, t2 = tangents(axis)
     toward = axis + sources.radius[s] * (x[:, None] * t1 + y[:, None] * t2)
-    return toward / np.sqrt((toward * toward).sum(axis=1, keepdims=True))
+    return unit(toward)
 
 
 def _on_disk(sources, s, position, a, b):
@@ -273,8 +262,7 @@ def _on_disk(sources, s, position, a, b):
     if sources.radius[s] == 0:
         return np.broadcast_to(sources.position[s], (len(a), 3))
     toward = sources.position[s] - position
-    distance = np.sqrt((toward * toward).sum(axis=1, keepdims=True))
-    t1, t2 = tangents(np.where(distance > 0, toward / np.maximum(distance, 1e-300), [0.0, 0.0, 1.0]))
+    t1, t2 = tangents(unit(toward, (0.0, 0.0, 1.0)))
     x, y = _disk(a, b)
     return sources.position[s] + sources.radius[s] * (x[:, None] * t1 + y[:, None] * t2)
 
@@ -287,8 +275,7 @@ def _disk(a, b):
 
 def _normal(corners):
     """Unit normal of a planar polygon's corners (V, 3)."""
-    n = np.cross(corners[1:-1] - corners[0], corners[2:] - corners[0]).sum(axis=0)
-    return n / max(np.sqrt((n * n).sum()), 1e-300)
+    return unit(cross(corners[1:-1] - corners[0], corners[2:] - corners[0]).sum(axis=0))
 
 
 def _emitting_flats(scene):

@@ -17,6 +17,7 @@ import numpy as np
 
 from .polygons import clip_polygons
 from .scene import newell_normals
+from .vectors import counted, cross, dot, length, unit
 
 CELL = np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)])  # corners of a cell
 CUTS = 3  # planes that cut one patch where other surfaces touch it, at most
@@ -87,13 +88,13 @@ def join_elements(patch, frame, square):
     order = np.argsort(patch, kind="stable")
     patch, frame, square = patch[order], frame[order], square[order]
     start = np.append(np.flatnonzero(_changes(patch)), len(patch)).astype(np.int32)
-    normal = np.cross(frame[:, 1], frame[:, 2])
-    area = np.sqrt((normal * normal).sum(axis=1)) * np.where(square, 1.0, 0.5)
+    normal = cross(frame[:, 1], frame[:, 2])
+    area = length(normal) * np.where(square, 1.0, 0.5)
     normal = _sums(normal * np.where(square, 1.0, 0.5)[:, None], start)
     middle = frame[:, 0] + (frame[:, 1] + frame[:, 2]) * np.where(square, 0.5, 1 / 3)[:, None]
     return {
         "area": _sums(area, start),
-        "normal": normal / np.sqrt((normal * normal).sum(axis=1, keepdims=True)),
+        "normal": unit(normal),
         "centroid": _sums(middle * area[:, None], start) / _sums(area, start)[:, None],
         "element_start": start,
         "element_frame": frame,
@@ -154,7 +155,7 @@ def _facets(scene):
     normal = scene.triangle_normal_area[0][triangle]
     whole = newell_normals(scene.vertices, scene.polygon_start, scene.corner_vertex)[polygon]
     bent = np.zeros(len(scene.polygon_material), bool)
-    bent[polygon[(normal * whole).sum(axis=1) < FLAT]] = True
+    bent[polygon[dot(normal, whole) < FLAT]] = True
     key = np.where(bent[polygon], len(bent) + np.arange(len(triangle)), polygon)
     order = np.argsort(key, kind="stable")
     return triangle[order], np.cumsum(_changes(key[order])) - 1
@@ -187,7 +188,7 @@ def _lay_grids(scene, triangle, facet, edge):
         return grid
     corners = scene.vertices[scene.triangles[triangle]]
     low, high = _extent(corners, leading)
-    large = np.sqrt(((high - low) ** 2).sum(axis=1)) > edge
+    large = length(high - low) > edge
     polygon = scene.triangle_polygon[triangle]
     quad = np.diff(scene.polygon_start)[polygon[leading]] == 4
     quad &= np.bincount(facet, minlength=count) == 2
@@ -211,9 +212,6 @@ def _along_quads(scene, triangle, owner, corners, leading):
     first = scene.polygon_start[polygon[leading]]
     p0, p1, p2, p3 = (scene.vertices[scene.corner_vertex[first + k]] for k in range(4))
 
-    def length(edge):
-        return np.sqrt((edge * edge).sum(axis=1))
-
     span = np.stack(
         [np.maximum(length(p1 - p0), length(p2 - p3)), np.maximum(length(p3 - p0), length(p2 - p1))], axis=1
     )
@@ -224,9 +222,9 @@ def _along_longest(scene, triangle, owner, corners, leading):
     """Places (K, 3, 2) of the triangles' corners in the unit square over each facet, along its longest edge, and the
     square's sides (F, 2) [m]."""
     along = _longest_edges(corners, owner)
-    across = np.cross(scene.triangle_normal_area[0][triangle][leading], along)
+    across = cross(scene.triangle_normal_area[0][triangle][leading], along)
     local = corners - corners[leading][owner, :1]
-    flat = np.stack([(local * axis[owner, None]).sum(axis=-1) for axis in (along, across)], axis=-1)
+    flat = np.stack([dot(local, axis[owner, None]) for axis in (along, across)], axis=-1)
     least, most = _extent(flat, leading)
     span = np.maximum(most - least, 1e-300)
     return (flat - least[owner, None]) / span[owner, None], span
@@ -264,10 +262,10 @@ def _longest_edges(corners, owner):
     same = (owner[order][1:] == owner[order][:-1]) & (middle[order][1:] == middle[order][:-1]).all(axis=1)
     inner = np.zeros(len(owner), bool)
     inner[order[1:][same]] = inner[order[:-1][same]] = True
-    length = np.sqrt((edge * edge).sum(axis=1))
-    best = np.lexsort((np.where(inner, 0.0, -length), owner))
+    size = length(edge)
+    best = np.lexsort((np.where(inner, 0.0, -size), owner))
     best = best[_changes(owner[best])]
-    return edge[best] / length[best, None]
+    return edge[best] / size[best, None]
 
 
 @dataclass(frozen=True)
@@ -312,7 +310,7 @@ def _filled(facet, grid):
 def _full_cells(facet, grid):
     """The cells of facets that fill their grid, a parallelogram each."""
     count = np.where((grid.columns * grid.rows > 1) & _filled(facet, grid), grid.columns * grid.rows, 0)
-    owner, cell = _counted(count)
+    owner, cell = counted(count)
     row, column = np.divmod(cell, grid.columns[owner])
     frame = _cell_frames(grid.frame[grid.leading][owner], column, row)
     return _Pieces(owner, cell, frame, np.ones(len(owner), bool))
@@ -331,7 +329,7 @@ def _cut_cells(scene, triangle, facet, grid):
     facet, place, frame = facet[mine], grid.place[mine], grid.frame[mine]
     low = np.maximum(np.floor(place.min(axis=1) + 1e-6), 0).astype(np.int64)
     span = np.maximum(np.ceil(place.max(axis=1) - 1e-6).astype(np.int64) - low, 1)
-    source, step = _counted(span[:, 0] * span[:, 1])
+    source, step = counted(span[:, 0] * span[:, 1])
     column = low[source, 0] + step % span[source, 0]
     row = low[source, 1] + step // span[source, 0]
     cell = row * grid.columns[facet[source]] + column
@@ -340,8 +338,8 @@ def _cut_cells(scene, triangle, facet, grid):
     edge = np.roll(place, -1, axis=1) - place
     turn = np.sign(edge[:, 0, 0] * edge[:, 1, 1] - edge[:, 0, 1] * edge[:, 1, 0])[:, None, None]
     inward = np.stack([-edge[..., 1], edge[..., 0]], axis=-1) * turn
-    inward /= np.maximum(np.sqrt((inward**2).sum(axis=-1, keepdims=True)), 1e-300)
-    offset = (place * inward).sum(axis=-1)
+    inward = unit(inward)
+    offset = dot(place, inward)
     corner = np.stack([column, row], axis=1)[:, None] + CELL
     normal = inward[source]
     inside = corner[..., :1] * normal[:, None, :, 0] + corner[..., 1:] * normal[:, None, :, 1] - offset[source, None]
@@ -360,7 +358,7 @@ def _cut_cells(scene, triangle, facet, grid):
     for k in range(3):
         value = np.einsum("kvd,kd->kv", polygon, inward[source[rim], k]) - offset[source[rim], k, None]
         polygon, sides = clip_polygons(polygon, sides, value)
-    which, step = _counted(np.maximum(sides - 2, 0))
+    which, step = counted(np.maximum(sides - 2, 0))
     fan = np.stack([polygon[which, 0], polygon[which, step + 1], polygon[which, step + 2]], axis=1)
     e1, e2 = fan[:, 1] - fan[:, 0], fan[:, 2] - fan[:, 0]
     solid = np.abs(e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0]) > 1e-9
@@ -380,12 +378,6 @@ def _to_world(frame, triangle):
     """(E, 3, 3) frames of triangles (E, 3, 2), given in cells of grids with frames (E, 3, 3)."""
     world = frame[:, None, 0] + triangle[..., :1] * frame[:, None, 1] + triangle[..., 1:] * frame[:, None, 2]
     return np.stack([world[:, 0], world[:, 1] - world[:, 0], world[:, 2] - world[:, 0]], axis=1)
-
-
-def _counted(count):
-    """For counts (K,): the owner of each of sum(count) items, and its number 0, 1, ... among its owner's."""
-    owner = np.repeat(np.arange(len(count)), count)
-    return owner, np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
 
 
 def _triangle_maps(count, triangle, place):

@@ -8,6 +8,7 @@ import numpy as np
 
 from .raycast import RayCaster
 from .sampling import lattice
+from .vectors import cross, unit
 
 LAYERS_DEEP = 32  # back sides that an outside view looks through, at most
 
@@ -30,11 +31,9 @@ def outside_view(scene, width=640, height=480):
     """A View of the whole scene from above one side, through its back sides."""
     low, high = scene.bounds
     size = max(scene.diagonal, 1e-30)
-    backward = np.array([0.42, -0.78, 0.46])
-    backward /= np.sqrt((backward * backward).sum())
-    right = np.cross([0.0, 0.0, 1.0], backward)
-    right /= np.sqrt((right * right).sum())
-    up = np.cross(backward, right)
+    backward = unit(np.array([0.42, -0.78, 0.46]))
+    right = unit(cross(np.array([0.0, 0.0, 1.0]), backward))
+    up = cross(backward, right)
     origin = (low + high) / 2 + 1.6 * size * backward
     reach = 0.36
     return View(origin, np.stack([-backward, right * reach, up * reach * height / width]), width, height, through=True)
@@ -58,7 +57,7 @@ def draw(scene, colors, view, samples=4, background=(0.05, 0.05, 0.05)):
 def _seen(scene, caster, colors, view, place, background):
     """(K, 3) radiance along the rays through places (K, 3) in the frame."""
     direction = np.broadcast_to(view.frame[0], place.shape) if view.parallel else view.frame[0] + place
-    direction = direction / np.sqrt((direction * direction).sum(axis=1, keepdims=True))
+    direction = unit(direction)
     origin = np.broadcast_to(view.origin, place.shape) + (place if view.parallel else 0.0)
     result = np.broadcast_to(np.asarray(background, float), place.shape).copy()
     left = np.arange(len(place))

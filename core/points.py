@@ -13,6 +13,7 @@ import numpy as np
 from .raycast import OFFSET
 from .sampling import morton_order
 from .scene import newell_normals
+from .vectors import dot, unit
 
 SAME_NORMAL = 0.99984769515639127  # cosine of one degree
 INWARD = 1e-3  # how far a point moves from its vertex toward the middle of its faces
@@ -63,10 +64,7 @@ def make_points(scene, flipped=None):
     if flipped is not None and flipped.any():
         sign = np.where(flipped, -1.0, 1.0)[:, None]
         face_normal, normal = face_normal * sign, normal * sign[polygon]
-    # A custom normal of length 0 or NaN falls back to the face's own.
-    length = np.sqrt((normal * normal).sum(axis=1))
-    good = length > 0.5
-    normal = np.where(good[:, None], normal / np.where(good, length, 1.0)[:, None], face_normal[polygon])
+    normal = unit(normal, face_normal[polygon])  # a custom normal may be 0 or NaN
 
     point = _group(vertex, normal)
     count = int(point.max(initial=-1)) + 1
@@ -74,8 +72,8 @@ def make_points(scene, flipped=None):
     area = np.bincount(point, weight, count)
     first = np.zeros(count, np.int64)
     first[point[::-1]] = np.arange(len(corner))[::-1]
-    normal = _unit(_mean(normal, point, weight, count), normal[first])
-    geometric = _unit(_mean(face_normal[polygon], point, weight, count), face_normal[polygon[first]])
+    normal = unit(_mean(normal, point, weight, count), normal[first])
+    geometric = unit(_mean(face_normal[polygon], point, weight, count), face_normal[polygon[first]])
     position = _place(scene, vertex, polygon, point, first, geometric, face_normal)
 
     order = morton_order(position)
@@ -104,7 +102,7 @@ def _group(vertex, normal):
         leading = np.append(True, vertex[left][1:] != vertex[left][:-1])
         run = np.cumsum(leading) - 1
         leader = left[leading][run]
-        near = (normal[left] * normal[leader]).sum(axis=1) >= SAME_NORMAL
+        near = dot(normal[left], normal[leader]) >= SAME_NORMAL
         near |= left == leader
         point[left[near]] = count + run[near]
         count += run[-1] + 1
@@ -116,13 +114,6 @@ def _mean(values, owner, weight, count):
     """(count, 3) weighted means of rows (C, 3) by owner (C,)."""
     total = np.bincount(owner, weight, count)
     return np.stack([np.bincount(owner, weight * values[:, k], count) for k in range(3)], axis=1) / total[:, None]
-
-
-def _unit(vectors, otherwise):
-    """Unit vectors (N, 3); where the length is 0, those of `otherwise`."""
-    length = np.sqrt((vectors * vectors).sum(axis=1))
-    good = length > 1e-6
-    return np.where(good[:, None], vectors / np.where(good, length, 1.0)[:, None], otherwise)
 
 
 def _place(scene, vertex, polygon, point, first, geometric, face_normal):
@@ -137,9 +128,9 @@ def _place(scene, vertex, polygon, point, first, geometric, face_normal):
     start = scene.vertices[vertex[first]]
     move = INWARD * (_mean(center, point, np.ones(len(point)), count) - start)
     normal = face_normal[polygon]
-    below = -(normal * move[point]).sum(axis=1)
+    below = -dot(normal, move[point])
     lift = np.zeros(count)
-    slope = np.maximum((normal * geometric[point]).sum(axis=1), SHARPEST)
+    slope = np.maximum(dot(normal, geometric[point]), SHARPEST)
     np.maximum.at(lift, point, (below + OFFSET * scene.diagonal * (1 - slope)) / slope)
     return start + move + lift[:, None] * geometric
 

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from .vectors import cross, dot, length, ratio
+
 # Rational approximation of (arctan(t) - t) / t^3 in t^2, |t| < 0.66, from the Cephes library (Moshier 1989).
 _P = (-8.750608600031904122785e-1, -1.615753718733365076637e1, -7.500855792314704667340e1,
       -1.228866684490136173410e2, -6.485021904942025371773e1)  # fmt: skip
@@ -17,8 +19,7 @@ _Q = (1.0, 2.485846490142306297962e1, 1.650270098316988542046e2, 4.3288106049129
 def angle(sine, cosine):
     """Angle in [0, pi] of a sine >= 0 and a cosine with any common factor, float64; 0 where both are 0."""
     low, high = np.minimum(sine, np.abs(cosine)), np.maximum(sine, np.abs(cosine))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        t = np.where(high > 0, low / high, 0.0)
+    t = ratio(low, high)
     steep = t > 0.41421356237309503  # tan(pi / 8)
     t = np.where(steep, (t - 1.0) / (t + 1.0), t)
     z = t * t
@@ -78,9 +79,8 @@ def polygon_factor(points, normals, polygon):
 def _lambert(ray, normals):
     """Lambert's signed sum (K,) over the edges of polygons given by the rays (K, V, 3) to their corners."""
     following = np.roll(ray, -1, axis=1)
-    cross = np.cross(ray, following)
-    sine = np.sqrt((cross * cross).sum(axis=-1))
-    gamma = angle(sine, (ray * following).sum(axis=-1))
-    along = np.einsum("kvd,kd->kv", cross, normals)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.where(sine > 0, gamma * along / sine, 0.0).sum(axis=1) / (2 * np.pi)
+    turn = cross(ray, following)
+    sine = length(turn)
+    gamma = angle(sine, dot(ray, following))
+    along = np.einsum("kvd,kd->kv", turn, normals)
+    return np.einsum("kv->k", ratio(gamma * along, sine)) / (2 * np.pi)

@@ -12,6 +12,8 @@ from functools import cached_property
 
 import numpy as np
 
+from .vectors import counted, cross, length, unit
+
 BLACK = (0.0, 0.0, 0.0)
 
 
@@ -165,18 +167,14 @@ class Scene:
 def normal_and_area(a, b, c):
     """Unit normals (..., 3) and areas (...) of triangles with corners a, b, c; normal 0 where the area is 0."""
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
-        n = np.cross(b - a, c - a)
-        length = np.sqrt((n * n).sum(axis=-1))
-        return np.where(length[..., None] > 0, n / length[..., None], 0.0), length / 2
+        n = cross(b - a, c - a)
+        return unit(n), length(n) / 2
 
 
 def fan_triangles(polygon_start):
     """Triangles that fill convex polygons: corners (T, 3) and polygon (T,), each polygon as a fan from its first corner."""
-    size = np.diff(polygon_start)
-    count = np.maximum(size - 2, 0)
-    polygon = np.repeat(np.arange(len(size)), count)
+    polygon, step = counted(np.maximum(np.diff(polygon_start) - 2, 0))
     first = polygon_start[:-1][polygon]
-    step = np.arange(len(polygon)) - np.repeat(np.cumsum(count) - count, count)
     return np.stack([first, first + step + 1, first + step + 2], axis=1), polygon
 
 
@@ -248,7 +246,5 @@ def newell_normals(vertices, polygon_start, corner_vertex):
     following = np.where(last, polygon_start[:-1][polygon], corner + 1)
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
         origin = vertices[corner_vertex[polygon_start[:-1]]][polygon]
-        edge = np.cross(vertices[corner_vertex] - origin, vertices[corner_vertex[following]] - origin)
-        normal = np.stack([np.bincount(polygon, edge[:, k], len(size)) for k in range(3)], axis=1)
-        length = np.sqrt((normal * normal).sum(axis=1, keepdims=True))
-        return np.where(length > 0, normal / length, 0.0)
+        edge = cross(vertices[corner_vertex] - origin, vertices[corner_vertex[following]] - origin)
+        return unit(np.stack([np.bincount(polygon, edge[:, k], len(size)) for k in range(3)], axis=1))

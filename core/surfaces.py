@@ -13,6 +13,7 @@ import numpy as np
 
 from .patches import patch_of_hit
 from .sampling import GOLDEN, scatter
+from .vectors import counted
 
 LARGEST_REFLECTANCE = 0.999  # of reflectance and translucency together: more has no steady state in a closed room
 INSET = 0.02  # how far a corner's color is taken from inside its polygon, as a share of the way to the middle
@@ -160,8 +161,7 @@ def _spread(scene, patches, triangles):
     """Places spread over triangles (T',), more where they are cut into more patches: triangle (S,), uv (S, 2)."""
     cells = patches.triangle_cell[triangles, 1] * patches.triangle_cell[triangles, 2]
     count = SAMPLES * cells
-    owner = np.repeat(np.arange(len(triangles)), count)
-    number = np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
+    owner, number = counted(count)
     u = (number + 0.5) / count[owner]
     v = ((number + 0.5) * GOLDEN + scatter(triangles, 11)[owner]) % 1.0
     fold = u + v > 1.0

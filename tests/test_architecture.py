@@ -16,7 +16,7 @@ CORE = sorted((ROOT / "core").glob("*.py"))
 
 # Later modules may import earlier ones, never the other way round.
 CHAIN = [
-    "sampling", "polygons", "records", "settings", "scene", "raycast", "patches", "surfaces", "points", "lights",
+    "vectors", "sampling", "polygons", "records", "settings", "scene", "raycast", "patches", "surfaces", "points", "lights",
     "kernel", "rows", "contacts", "gather", "tasks", "cells", "cell", "effects", "host", "layers", "bake", "report", "picture",
 ]  # fmt: skip
 

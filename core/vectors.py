@@ -1,0 +1,50 @@
+"""Vectors in arrays (..., 3) or (..., 2), and runs of items: the small steps that everything else is made of.
+
+Written for speed as well as for brevity: numpy's own cross product and sums over a last axis of 3 take five times as
+long.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+TINY = 1e-300  # guards divisions by lengths that may be 0
+
+
+def dot(a, b):
+    """(...) dot products over the last axis, broadcast."""
+    return np.einsum("...d,...d->...", a, b)
+
+
+def cross(a, b):
+    """(..., 3) cross products."""
+    a, b = np.broadcast_arrays(a, b)
+    result = np.empty(a.shape, np.result_type(a, b))
+    for k in range(3):
+        i, j = (k + 1) % 3, (k + 2) % 3
+        result[..., k] = a[..., i] * b[..., j] - a[..., j] * b[..., i]
+    return result
+
+
+def length(a):
+    """(...) lengths of vectors."""
+    return np.sqrt(dot(a, a))
+
+
+def unit(a, otherwise=0.0):
+    """Vectors divided by their lengths; `otherwise` where the length is 0 or not a number."""
+    with np.errstate(invalid="ignore", over="ignore"):
+        size = length(a)[..., None]
+        good = (size > 0) & np.isfinite(size)
+        return np.where(good, a / np.where(good, size, 1.0), otherwise)
+
+
+def counted(count):
+    """For counts (K,): the owner of each of sum(count) items, and its number 0, 1, ... among its owner's."""
+    owner = np.repeat(np.arange(len(count)), count)
+    return owner, np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
+
+
+def ratio(a, b):
+    """a / b where b is positive, else 0."""
+    return np.divide(a, b, out=np.zeros(np.broadcast_shapes(np.shape(a), np.shape(b))), where=np.asarray(b) > 0)
