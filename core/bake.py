@@ -15,7 +15,7 @@ from .gather import Light, gather
 from .host import Solution, solve
 from .kernel import scene_arrays
 from .lights import make_sources
-from .patches import Patches, make_patches
+from .patches import Patches, make_patches, patch_of_hit
 from .points import Points, make_points
 from .scene import Scene
 from .settings import Settings
@@ -133,8 +133,14 @@ def _flipped(scene, patches, solution, side):
         return np.zeros(len(scene.polygon_material), bool)
     if side == "back":
         return np.ones(len(scene.polygon_material), bool)
-    power = patches.area[:, None] * solution.irradiance.sum(axis=0).reshape(-1, 2)
-    front, back = (np.bincount(patches.polygon, power[:, k], len(scene.polygon_material)) for k in range(2))
+    # The patch at the middle of every triangle tells which side of its polygon gets more.
+    triangle = np.flatnonzero(scene.usable)
+    third = np.full(len(triangle), 1 / 3, np.float32)
+    patch = patch_of_hit(patches, scene.vertices, scene.triangles, triangle, third, third)
+    light = solution.irradiance.sum(axis=0).reshape(-1, 2)[patch] * scene.triangle_normal_area[1][triangle, None]
+    front, back = (
+        np.bincount(scene.triangle_polygon[triangle], light[:, k], len(scene.polygon_material)) for k in range(2)
+    )
     return back > front
 
 

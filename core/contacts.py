@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from .kernel import blocks
-from .patches import CUTS, join_elements
+from .patches import CUTS, FLAT, join_elements
 from .polygons import clip_polygons
 from .records import to_arrays
 from .scene import normal_and_area
@@ -23,6 +23,7 @@ HEIGHT = np.float32(5e-5)  # of the rays above the patch, in scene diagonals
 INSET = 1e-3  # how far they start inside the patch's corners
 LEAST = 1e-3  # share of a patch that is worth a cut
 ALONG = 0.999  # a triangle whose normal is closer to the patch's than this lies along it, and does not cut
+MOST_ELEMENTS = 4  # of a cluster, from whose corners it is looked over
 TASK_PATCHES = 1 << 13
 
 
@@ -56,28 +57,30 @@ def find_contacts(kernel, ids):
         start, stop = kernel.caster.place(start), kernel.caster.place(stop)
         found = blocker[part]
         for side in (1, -1):
-            triangle, _, _, distance, _ = kernel.caster.hits(start + side * lift, stop - start)
+            triangle, u, v, distance, _ = kernel.caster.hits(start + side * lift, stop - start)
             met = np.flatnonzero((triangle >= 0) & (distance < 1.0))
             corner = kernel.vertices[kernel.triangles[triangle[met]]]
             facing = normal_and_area(corner[:, 0], corner[:, 1], corner[:, 2])[0]
             across = np.abs(dot(facing, normal[met])) < ALONG
-            polygon = kernel.arrays["scene.triangle_polygon"][triangle[met]]
-            across &= polygon != kernel.patches.polygon[own][owner[met]]
+            across &= kernel.patch_hit(triangle[met], u[met], v[met]) != own[owner[met]]
             met = met[across]
             found[owner[met]] = triangle[met]
     return {"blocker": blocker}
 
 
 def _paths(patches, ids):
-    """Segments along patches: the patch of each as its row in ids (M,), and their ends (M, 3)."""
+    """Segments along patches: the patch of each as its row in ids (M,), and their ends (M, 3). Curved ones have none."""
     first, count = patches.element_start[ids], np.diff(patches.element_start)[ids]
+    flat = patches.flatness[ids] >= FLAT
     plain = (count == 1) & patches.element_square[first]
-    square, other = np.flatnonzero(plain), np.flatnonzero(~plain)
+    square, other = np.flatnonzero(plain), np.flatnonzero(~plain & flat)
     p, a, b = np.moveaxis(patches.element_frame[first[square]], 1, 0)
     owners, starts, stops = [square, square], [p, p + a], [p + a + b, p + b]
 
-    row, element = _elements(patches, ids[other])
-    owner = other[row]
+    # Of a cluster, the corners of a few elements spread over it.
+    owner, step = counted(np.minimum(count[other], MOST_ELEMENTS))
+    element = first[other][owner] + step * count[other][owner] // np.minimum(count[other], MOST_ELEMENTS)[owner]
+    owner = other[owner]
     p, a, b = np.moveaxis(patches.element_frame[element], 1, 0)
     far = patches.element_square[element]
     for who, corner in ((owner, p), (owner, p + a), (owner, p + b), (owner[far], (p + a + b)[far])):

@@ -29,7 +29,6 @@ def scene_arrays(scene, patches, sources):
         "scene.vertices": scene.vertices,
         "scene.triangles": scene.triangles,
         "scene.usable": scene.usable,
-        "scene.triangle_polygon": scene.triangle_polygon,
         **to_arrays("patches", patches),
         **to_arrays("sources", sources),
     }
@@ -78,11 +77,15 @@ class Kernel:
         """CPU seconds inside Embree and rays cast since the last call."""
         return self.caster.spent() if "caster" in self.__dict__ else (0.0, 0)
 
+    def patch_hit(self, triangle, u, v):
+        """(K,) int32 patches on which hits (triangle, u, v) of K rays fell."""
+        return patch_of_hit(self.patches, self.vertices, self.triangles, triangle, u, v)
+
     def sides_hit(self, origins, directions):
         """What K rays meet first: side (K,) int32, 2 * patch + (1 on its back), -1 where the ray escaped; and the
         triangle (K,), its distance (K,) in scene diagonals."""
         triangle, u, v, distance, back = self.caster.hits(origins, directions)
-        side = patch_of_hit(self.patches, self.vertices, self.triangles, triangle, u, v)
+        side = self.patch_hit(triangle, u, v)
         side *= 2
         side += back
         side[triangle < 0] = -1

@@ -101,23 +101,23 @@ def unoccluded(sources, s, position, normal):
 def patch_irradiance(sources, caster, centroid, position, normal, a, b):
     """(K, 3) mean direct irradiance [W/m^2] of K patches, from their centroids (K, 3) and places (K, n, 3) on them.
 
-    From each place one test ray goes to the place a, b (K, n) of every source. normal: (K, 3). A source gives Lambert's
+    From each place one test ray goes to the place a, b (K, n) of every source. normal: (K, 1 or n, 3) at the places; the
+    centroids take the first one. A source gives Lambert's
     exact factor times the visible share, sum(weight seen) / sum(weight) over the test rays: with weights left out, or
     a single ray, a source seen at a grazing angle comes out too dark.
     """
     count, places = a.shape
-    total = np.zeros((count, 3))
-    start = caster.start(position, normal[:, None])
+    total = np.zeros((count, sources.strength.shape[1]))
+    start = caster.start(position, normal)
+    normal = np.broadcast_to(normal, position.shape)
     for s in range(len(sources)):
         factor = _mean_factor(sources, s, centroid, position, normal)
         lit = np.flatnonzero(factor > 0)
         if not len(lit):
             continue
-        each = np.repeat(normal[lit], places, axis=0)
-        flat = (x[lit].reshape(len(lit) * places, -1) for x in (position, start))
-        place, origin = flat
+        place, each, origin = (x[lit].reshape(-1, 3) for x in (position, normal, start))
         weight, seen = test_rays(sources, s, caster, place, each, each, origin, a[lit].reshape(-1), b[lit].reshape(-1))
-        share = ratio(np.einsum("kn->k", seen.reshape(-1, places)), np.einsum("kn->k", weight.reshape(-1, places)))
+        share = ratio(*(np.einsum("kn->k", x.reshape(-1, places)) for x in (seen, weight)))
         total[lit] += (factor[lit] * share)[:, None] * sources.strength[s]
     return total
 
@@ -157,14 +157,17 @@ def test_rays(sources, s, caster, position, normal, geometric, start, a, b):
 
 def _mean_factor(sources, s, centroid, position, normal):
     """(K,) unoccluded irradiance per unit of strength, the mean over patches: at their centroids (K, 3), or the mean
-    over the places (K, n, 3) where these are far apart for their distance from the source."""
+    over the places (K, n, 3), with normals there, where these are far apart for their distance from the source."""
     places = position.shape[1]
-    factor = unoccluded(sources, s, centroid, normal)
+    factor = unoccluded(sources, s, centroid, normal[:, 0])
+    turns = (normal != normal[:, :1]).any(axis=(1, 2))
     if sources.kind[s] != SUN:
         spread = length(position - centroid[:, None]).max(axis=1)
-        near = np.flatnonzero(spread > NEAR * _distance(sources, s, centroid))
-        flat = position[near].reshape(-1, 3)
-        factor[near] = unoccluded(sources, s, flat, np.repeat(normal[near], places, axis=0)).reshape(-1, places).mean(1)
+        turns |= spread > NEAR * _distance(sources, s, centroid)
+    near = np.flatnonzero(turns)
+    if len(near):
+        each = unoccluded(sources, s, position[near].reshape(-1, 3), normal[near].reshape(-1, 3))
+        factor[near] = np.einsum("kn->k", each.reshape(-1, places)) / places
     return factor
 
 

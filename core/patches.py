@@ -6,6 +6,9 @@ elements are the parallelograms and triangles it consists of, most often a singl
 traced geometry: a hit carries its place in its triangle (u, v), and an affine map turns that into a cell. Walls stay
 two triangles for the ray tracer, no T-junctions appear, and patches of another size need no new BVH.
 
+Polygons much smaller than that are clustered: those of one object and material that lie together and face the same
+way make up one patch.
+
 Each patch has two sides with a radiosity of their own: side 2 p is the front of patch p, side 2 p + 1 its back.
 """
 
@@ -16,10 +19,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from .polygons import clip_polygons
+from .sampling import scatter
 from .scene import newell_normals
 from .vectors import counted, cross, dot, length, unit
 
 CELL = np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)])  # corners of a cell
+SMALL = 0.5  # facets below this share of a patch's edge are clustered
+CLUSTER = 0.75  # size of a cluster, as a share of a patch's edge
+TURNS = 4  # steps per unit in which the normals of a cluster's facets agree
+WORTH = 0.7  # clusters are made if they are fewer than this share of the facets
 CUTS = 3  # planes that cut one patch where other surfaces touch it, at most
 FLAT = 0.9995  # least cosine between the triangles of one flat facet
 
@@ -28,7 +36,8 @@ FLAT = 0.9995  # least cosine between the triangles of one flat facet
 class Patches:
     """N patches, as arrays.
 
-    area: (N,) float64 [m^2]. normal: (N, 3) unit. centroid: (N, 3) [m]. polygon: (N,) int32 of the scene.
+    area: (N,) float64 [m^2]. normal: (N, 3) unit. centroid: (N, 3) [m]. polygon: (N,) int32 of the scene, the first
+    of a cluster. flatness: (N,) 1 where all elements face the same way, less where they turn.
     element_start: (N + 1,) int32, patch p owns elements element_start[p] to element_start[p + 1].
     element_frame: (M, 3, 3) float64 origin and two edges of each element [m]; element_square: (M,) bool, it is the
     parallelogram over the two edges, not the triangle; element_area: (M,) [m^2].
@@ -43,6 +52,7 @@ class Patches:
     normal: np.ndarray
     centroid: np.ndarray
     polygon: np.ndarray
+    flatness: np.ndarray
     element_start: np.ndarray
     element_frame: np.ndarray
     element_square: np.ndarray
@@ -65,19 +75,22 @@ def make_patches(scene, edge=None):
     first = np.cumsum(cells) - cells
 
     pieces = [_uncut(scene, triangle, facet, grid), _full_cells(facet, grid), _cut_cells(scene, triangle, facet, grid)]
-    cell = np.concatenate([first[p.facet] + p.cell for p in pieces])
+    leader = _clusters(scene, triangle, facet, grid, edge)
+    cell = np.concatenate([first[leader[p.facet]] + p.cell for p in pieces])
     frame = np.concatenate([p.frame for p in pieces])
     square = np.concatenate([p.square for p in pieces])
 
     # The cells that hold an element are the patches, in order.
     held, patch = np.unique(cell, return_inverse=True)
     facet_polygon = scene.triangle_polygon[triangle[grid.leading]]
+    cell_patch = _patch_of_cells(held, first, int(cells.sum()))
+    cell_patch[first] = cell_patch[first[leader]]
     return Patches(
         **join_elements(patch.reshape(-1), frame, square),
         polygon=facet_polygon[np.searchsorted(first, held, side="right") - 1],
         triangle_map=_triangle_maps(len(scene.triangles), triangle, grid.place),
         triangle_cell=_triangle_cells(len(scene.triangles), triangle, first[facet], grid, facet),
-        cell_patch=_patch_of_cells(held, first, int(cells.sum())),
+        cell_patch=cell_patch,
         cut_plane=np.zeros((0, CUTS, 4)),
         cut_patch=np.zeros((0, 1 << CUTS), np.int32),
     )
@@ -91,11 +104,13 @@ def join_elements(patch, frame, square):
     normal = cross(frame[:, 1], frame[:, 2])
     area = length(normal) * np.where(square, 1.0, 0.5)
     normal = _sums(normal * np.where(square, 1.0, 0.5)[:, None], start)
+    whole = _sums(area, start)
     middle = frame[:, 0] + (frame[:, 1] + frame[:, 2]) * np.where(square, 0.5, 1 / 3)[:, None]
     return {
-        "area": _sums(area, start),
+        "area": whole,
         "normal": unit(normal),
-        "centroid": _sums(middle * area[:, None], start) / _sums(area, start)[:, None],
+        "centroid": _sums(middle * area[:, None], start) / whole[:, None],
+        "flatness": length(normal) / whole,
         "element_start": start,
         "element_frame": frame,
         "element_square": square,
@@ -125,24 +140,25 @@ def patch_of_hit(patches, vertices, triangles, triangle, u, v):
 
 
 def draw_on_patches(patches, ids, a, b):
-    """Points drawn evenly by area on patches: (K, n, 3) float64. ids: (K,) patches; a, b: (K, n) in [0, 1)."""
-    element = np.broadcast_to(patches.element_start[ids, None], a.shape)
+    """Points drawn evenly by area on patches: (K, n, 3) float64, and the normals there, (K, 1 or n, 3).
+
+    ids: (K,) patches; a, b: (K, n) in [0, 1).
+    """
+    element = patches.element_start[ids][:, None]
     last = patches.element_start[ids + 1][:, None] - 1
-    if (element[:, :1] < last).any():
-        # Walk along the patch's elements until the share a of its area is reached.
-        element, target = element.copy(), a * patches.area[ids, None]
-        while True:
-            area = patches.element_area[element]
-            further = (target >= area) & (element < last)
-            if not further.any():
-                break
-            target -= np.where(further, area, 0.0)
-            element += further
-        a = np.clip(target / area, 0.0, 1.0)
-    fold = ~patches.element_square[element] & (a + b > 1.0)
+    normal = patches.normal[ids][:, None]
+    if (element < last).any():
+        # The element at the share a of the patch's area, and the place in that element where a then is.
+        upto = np.append(0.0, np.cumsum(patches.element_area))
+        target = upto[element] + a * patches.area[ids, None]
+        element = np.clip(np.searchsorted(upto, target, side="right") - 1, element, last)
+        a = np.clip((target - upto[element]) / patches.element_area[element], 0.0, 1.0)
     frame = patches.element_frame[element]
+    if (patches.flatness[ids] < FLAT).any():
+        normal = unit(cross(frame[..., 1, :], frame[..., 2, :]))
+    fold = ~patches.element_square[element] & (a + b > 1.0)
     a, b = np.where(fold, 1.0 - a, a)[..., None], np.where(fold, 1.0 - b, b)[..., None]
-    return frame[..., 0, :] + a * frame[..., 1, :] + b * frame[..., 2, :]
+    return frame[..., 0, :] + a * frame[..., 1, :] + b * frame[..., 2, :], normal
 
 
 def _facets(scene):
@@ -295,6 +311,28 @@ def _uncut(scene, triangle, facet, grid):
     kept = np.ones(len(triangle), bool)
     kept[pair + 1] = False
     return _Pieces(facet[kept], np.zeros(kept.sum(), np.int64), frame[kept], square[kept])
+
+
+def _clusters(scene, triangle, facet, grid, edge):
+    """(F,) the facet whose patch each facet belongs to: its own, or the first one of its cluster."""
+    leader = np.arange(len(grid.rows))
+    if edge is None or not len(leader):
+        return leader
+    corners = scene.vertices[scene.triangles[triangle]]
+    low, high = _extent(corners, grid.leading)
+    small = np.flatnonzero((grid.columns * grid.rows == 1) & (length(high - low) < SMALL * edge))
+    first = np.flatnonzero(grid.leading)[small]
+    polygon = scene.triangle_polygon[triangle[first]]
+    normal = scene.triangle_normal_area[0][triangle[first]]
+    place = np.floor(((low + high)[small] / 2 - scene.bounds[0]) / (CLUSTER * edge))
+    alike = [*place.T, *np.round(normal * TURNS).T, scene.polygon_object[polygon], scene.polygon_material[polygon]]
+    key = np.zeros(len(small), np.uint64)
+    for number, part in enumerate(alike):
+        key ^= (scatter(part.astype(np.int64) ^ key.astype(np.int64), number) * 2.0**53).astype(np.uint64)
+    _, start, group = np.unique(key, return_index=True, return_inverse=True)
+    if len(start) < WORTH * len(small):
+        leader[small] = small[start[group.reshape(-1)]]
+    return leader
 
 
 def _filled(facet, grid):

@@ -20,8 +20,7 @@ def trace_rows(kernel, sides, rays, seed):
     """{"hits": (K, rays) int32} sides met by rays from patch sides (K,), -1 where a ray escaped."""
     hits = np.empty((len(sides), rays), np.int32)
     for part in blocks(len(sides), rays):
-        position, normal, direction = _row_rays(kernel, sides[part], rays, seed)
-        side, _, _ = kernel.sides_hit(kernel.caster.start(position, normal[:, None]).reshape(-1, 3), direction)
+        side, _, _ = kernel.sides_hit(*_row_rays(kernel, sides[part], rays, seed))
         hits[part] = side.reshape(-1, rays)
     return {"hits": hits}
 
@@ -38,13 +37,13 @@ def light_patches(kernel, sides, samples, seed):
 
 
 def _row_rays(kernel, sides, rays, seed):
-    """Positions (K, rays, 3) and normals (K, 3), and world directions (K * rays, 3) float32, of the rays of rows."""
+    """Where the rays of rows start (K * rays, 3), and their directions (K * rays, 3), both float32."""
     u, v, a, b = _shifted(sides, rays, seed, ROW)
     position, normal = _places(kernel, sides, a, b)
     local = hemisphere(u, v).astype(np.float32)
-    frame = np.stack([*tangents(normal), normal], axis=1).astype(np.float32)
-    direction = np.stack([sum(frame[:, k, d, None] * local[..., k] for k in range(3)).reshape(-1) for d in range(3)])
-    return position, normal, direction.T
+    frame = np.stack([*tangents(normal), normal]).astype(np.float32)
+    direction = np.stack([sum(frame[k, ..., d] * local[..., k] for k in range(3)).reshape(-1) for d in range(3)])
+    return kernel.caster.start(position, normal).reshape(-1, 3), direction.T
 
 
 def _shifted(sides, count, seed, salt):
@@ -55,6 +54,6 @@ def _shifted(sides, count, seed, salt):
 
 
 def _places(kernel, sides, a, b):
-    """Positions (K, n, 3) of places on patch sides, given by a, b (K, n), and the sides' normals (K, 3)."""
-    normal = kernel.patches.normal[sides >> 1]
-    return draw_on_patches(kernel.patches, sides >> 1, a, b), np.where((sides & 1)[:, None] == 1, -normal, normal)
+    """Positions (K, n, 3) of places on patch sides, given by a, b (K, n), and the sides' normals there (K, 1 or n, 3)."""
+    position, normal = draw_on_patches(kernel.patches, sides >> 1, a, b)
+    return position, np.where((sides & 1)[:, None, None] == 1, -normal, normal)
