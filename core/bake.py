@@ -15,6 +15,7 @@ from .gather import Light, gather
 from .host import Solution, solve
 from .kernel import scene_arrays
 from .lights import make_sources
+from .paper import solve_paper
 from .patches import Patches, make_patches, patch_of_hit
 from .points import Points, make_points
 from .scene import Scene
@@ -76,7 +77,10 @@ def _bake(scene, settings, cells):
     clock.lap("patches")
     yield Progress("patches", 1.0, clock.total())
 
-    solving = solve(patches, surfaces, sky, cells, settings)
+    if settings.schedule == "paper":
+        solving = solve_paper(patches, surfaces, sources, sky, cells, settings)
+    else:
+        solving = solve(patches, surfaces, sky, cells, settings)
     solution = yield from _each(solving, lambda r: _of_round(r, settings, clock))
     clock.lap("transport")
 

@@ -16,6 +16,8 @@ from time import perf_counter
 import numpy as np
 
 TASK_RAYS = 1 << 16  # of one task: some 10 to 30 ms
+ANALYTIC_TASK = 4  # analytic rows of one task
+ROWS_SHARE = 0.25  # of the memory that a bake may use, for kept rows
 LAG = 3  # batches in flight; a batch is picked from the state that so many batches before it left
 BATCH = 4096  # sides of a batch at least, and a share of those that wait
 BATCH_SHARE = 0.5
@@ -26,14 +28,19 @@ SWEEPS = 2000  # of the solve, at most
 @dataclass(frozen=True)
 class Round:
     """Where the solve stands: number of the round, unshot power and bound on the power still missing from the result,
-    both as shares of the power emitted, rows kept and rays cast so far, seconds since the start."""
+    both as shares of the power emitted; rows found so far (shots), and seconds since the start."""
 
     number: int
     unshot: float
     bound: float
-    rows: int
-    rays: int
+    shots: int
     seconds: float
+
+
+def round_of(state, rounds, bound, shots, begun):
+    """The Round after those of `rounds`, of a Transport."""
+    unshot = float(np.abs(state.unshot.sum()) / max(state.emitted.sum(), 1e-300))
+    return Round(len(rounds) + 1, unshot, float(bound), shots, perf_counter() - begun)
 
 
 @dataclass(frozen=True)
@@ -54,16 +61,29 @@ class Solution:
     energy: dict
 
 
-class Rows:
-    """Form-factor rows that were kept: hits (K, n) of sides (K,), in the order they came; -1 is a ray that escaped."""
+class RayRows:
+    """Form-factor rows that were kept: hits (K, n) of sides (K,), in the order they came; -1 is a ray that escaped.
 
-    def __init__(self, count, rays):
+    Rows are kept while they fit into `memory` bytes.
+    """
+
+    def __init__(self, count, rays, memory):
         self.count, self.rays = count, rays
+        self.most = memory // (4 * rays + 8)
         self.sides = np.zeros(0, np.int64)
         self.hits = np.zeros((0, rays), np.int32)
         self.kept = np.zeros(count, bool)
 
-    def add(self, sides, hits):
+    def add(self, sides, results):
+        """Keep the rows of sides (K,), given by the results of their tasks; returns those that did not fit, as rows."""
+        hits = np.concatenate([result["hits"] for result in results])
+        fits = int(min(max(self.most - len(self.sides), 0), len(sides)))
+        self._append(sides[:fits], hits[:fits])
+        others = RayRows(self.count, self.rays, np.inf if fits < len(sides) else 0)
+        others._append(sides[fits:], hits[fits:])
+        return others
+
+    def _append(self, sides, hits):
         self.sides, self.hits = np.concatenate([self.sides, sides]), np.concatenate([self.hits, hits])
         self.kept[sides] = True
 
@@ -82,8 +102,54 @@ class Rows:
         return np.stack([np.einsum("kn->k", channel) for channel in seen]) / self.rays
 
     def escaped(self, start=0):
-        """(K,) share of the rays that escaped, of the rows from `start` on."""
+        """(K,) share of the light that escapes, of the rows from `start` on."""
         return (self.hits[start:] < 0).sum(axis=1) / self.rays
+
+
+class AnalyticRows:
+    """Rows of form factors: side k sends share (Z,) of its light to target (Z,), from start[k] to start[k + 1]; the rest
+    escapes. The same interface as `RayRows`."""
+
+    def __init__(self, count, memory):
+        self.count, self.memory = count, memory
+        self.sides = np.zeros(0, np.int64)
+        self.start = np.zeros(1, np.int64)
+        self.target, self.share = np.zeros(0, np.int32), np.zeros(0)
+        self.kept = np.zeros(count, bool)
+
+    def add(self, sides, results):
+        """Keep the rows of sides (K,), given by the results of their tasks; returns those that did not fit, as rows."""
+        size = np.concatenate([np.diff(result["start"]) for result in results])
+        target = np.concatenate([result["target"] for result in results])
+        share = np.concatenate([result["share"] for result in results])
+        fits = int(np.searchsorted(12 * (len(self.target) + np.cumsum(size)), self.memory, side="right"))
+        cut = int(size[:fits].sum())
+        self._append(sides[:fits], size[:fits], target[:cut], share[:cut])
+        others = AnalyticRows(self.count, np.inf)
+        others._append(sides[fits:], size[fits:], target[cut:], share[cut:])
+        return others
+
+    def _append(self, sides, size, target, share):
+        self.sides = np.concatenate([self.sides, sides])
+        self.start = np.concatenate([self.start, self.start[-1] + np.cumsum(size)])
+        self.target, self.share = np.concatenate([self.target, target]), np.concatenate([self.share, share])
+        self.kept[sides] = True
+
+    def shoot(self, power, start=0):
+        first = self.start[start]
+        owner = np.repeat(np.arange(len(self.sides) - start), np.diff(self.start[start:]))
+        sent = power[:, owner] * self.share[first:]
+        arrived = np.stack([np.bincount(self.target[first:], channel, self.count) for channel in sent])
+        return arrived, power.sum(axis=1) - arrived.sum(axis=1)
+
+    def gather(self, light, beyond):
+        owner = np.repeat(np.arange(len(self.sides)), np.diff(self.start))
+        seen = np.stack([np.bincount(owner, channel[self.target] * self.share, len(self.sides)) for channel in light])
+        return seen + self.escaped() * np.asarray(beyond)[:, None]
+
+    def escaped(self, start=0):
+        owner = np.repeat(np.arange(len(self.sides) - start), np.diff(self.start[start:]))
+        return 1.0 - np.bincount(owner, self.share[self.start[start] :], len(self.sides) - start)
 
 
 class Transport:
@@ -94,15 +160,17 @@ class Transport:
     emitted = absorbed + escaped + unshot, to rounding, at any time.
     """
 
-    def __init__(self, area, surfaces, direct, sky, rays):
+    def __init__(self, area, surfaces, direct, sky, rows, own=None):
         self.area, self.surfaces, self.sky = np.repeat(area, 2), surfaces, np.asarray(sky, float)[:, None]
         self.direct = direct
-        self.rows = Rows(direct.shape[1], rays)
-        self.own = self.area * surfaces.found
+        self.rows = rows
+        self.own = self.area * (surfaces.found if own is None else own)
         self.first = self.area * direct  # power that arrived first-hand
         self.arrived = self.first.copy()
         self.unshot = self.own + surfaces.send(self.arrived)
         self.escaped = np.zeros(len(direct))
+        # Shot and arrived through rows that were not kept.
+        self.loose_shot, self.loose_arrived, self.loose_escaped = np.zeros_like(direct), np.zeros_like(direct), 0.0
         # A side without a row may see all of the sky, for all we know: power it would send on then.
         self.ahead = surfaces.send(self.area * self.sky * np.ones_like(direct))
 
@@ -116,28 +184,40 @@ class Transport:
         """(C,) power absorbed so far."""
         return (self.arrived * (1.0 - self.surfaces.returned)).sum(axis=1)
 
-    def pick(self, taken):
-        """The next batch: sides of highest unshot power without a row and not `taken` (2 N,) bool, ties by id."""
+    def pick(self, taken, count=None):
+        """The next batch: the `count` sides of highest unshot power without a row and not `taken` (2 N,) bool, ties by
+        id; count None takes a share of those that wait."""
         strength = np.where(self.rows.kept | taken, 0.0, (self.unshot + self.ahead).sum(axis=0))
         waiting = np.flatnonzero(strength > 0)
-        count = max(BATCH, int(BATCH_SHARE * len(waiting)))
+        count = count or max(BATCH, int(BATCH_SHARE * len(waiting)))
         return waiting[np.argsort(-strength[waiting], kind="stable")[:count]]
 
-    def add(self, sides, hits):
-        """Keep the rows of a batch; its sides take in the sky that they see, and shoot."""
+    def add(self, sides, results):
+        """Keep the rows of a batch as far as they fit; its sides take in the sky that they see, and shoot."""
         start = len(self.rows.sides)
-        self.rows.add(sides, hits)
-        self.ahead[:, sides] = 0.0
-        arrived = np.zeros_like(self.arrived)
-        if self.sky.any():
-            arrived[:, sides] = self.area[sides] * self.rows.escaped(start) * self.sky
-            self.first += arrived
+        others = self.rows.add(sides, results)
+        for rows, first in ((self.rows, start), (others, 0)):
+            part = rows.sides[first:]
+            if not len(part):
+                continue
+            if self.sky.any():
+                seen = np.zeros_like(self.arrived)
+                seen[:, part] = (
+                    np.where(self.ahead[:, part].any(axis=0), self.area[part] * rows.escaped(first), 0.0) * self.sky
+                )
+                self.first += seen
+                self._receive(seen)
+                self.ahead[:, part] = 0.0
+            power = self.unshot[:, part]
+            self.unshot[:, part] = 0.0
+            arrived, escaped = rows.shoot(power, first)
+            self.escaped = self.escaped + escaped
             self._receive(arrived)
-        power = self.unshot[:, sides]
-        self.unshot[:, sides] = 0.0
-        arrived, escaped = self.rows.shoot(power, start)
-        self.escaped = self.escaped + escaped
-        self._receive(arrived)
+            if rows is others:
+                self.loose_shot[:, part] += power
+                self.loose_arrived += arrived
+                self.loose_escaped = self.loose_escaped + escaped
+        return others.sides
 
     def settle(self, target):
         """Solve for the light that goes back and forth between sides with rows: each gathers over its own row, until
@@ -158,9 +238,10 @@ class Transport:
             values, sweeps, bound = fixed_point(update, irradiance[:, sides], largest, self.area[sides], target)
             irradiance[:, sides] = values
         sent = self.area * (surfaces.found + surfaces.send(irradiance))
-        arrived, self.escaped = rows.shoot(sent[:, sides])
-        self.arrived = self.first + arrived
-        self.unshot = self.own + surfaces.send(self.arrived)
+        arrived, escaped = rows.shoot(sent[:, sides])
+        self.escaped = self.loose_escaped + escaped
+        self.arrived = self.first + self.loose_arrived + arrived
+        self.unshot = self.own + surfaces.send(self.arrived) - self.loose_shot
         self.unshot[:, sides] -= sent[:, sides]
         irradiance[:, ~rows.kept] = (self.arrived / self.area)[:, ~rows.kept]
         return irradiance, sweeps, bound
@@ -176,6 +257,15 @@ class Transport:
         emitted = max((self.emitted + ahead).sum(), 1e-300)
         outside = (everywhere - inside) * g / (1 - g) + ahead / (1 - g)
         return (inside * g / (1 - g)).sum() / emitted, max(outside.sum(), 0.0) / emitted
+
+    def energy(self):
+        """{name: W} where the power has gone, sums of the channels."""
+        return {
+            "emitted_w": float(self.emitted.sum()),
+            "absorbed_w": float(self.absorbed.sum()),
+            "escaped_w": float(self.escaped.sum()),
+            "unshot_w": float(self.unshot.sum()),
+        }
 
     def _receive(self, power):
         self.arrived += power
@@ -248,18 +338,21 @@ def solve(patches, surfaces, sky, cells, settings):
     """
     begun = perf_counter()
     count, target = 2 * len(patches), settings.error / 10
-    state = Transport(patches.area, surfaces, _light_patches(cells, count, settings), sky, settings.row_rays)
-    taken, in_flight, rounds, sweeps = np.zeros(count, bool), deque(), [], 0
+    rows = make_rows(count, settings)
+    state = Transport(patches.area, surfaces, light_patches(cells, count, settings), sky, rows)
+    taken, in_flight, rounds, sweeps, shots = np.zeros(count, bool), deque(), [], 0, 0
     settled = False
     while not settled:
         # Fill the pipeline with the brightest sides that have no row yet.
         inside, outside = state.missing()
         while len(in_flight) < LAG and outside > target / 2 and len(batch := state.pick(taken)):
             taken[batch] = True
-            in_flight.append((batch, _trace_rows(cells, batch, settings)))
+            in_flight.append((batch, submit_rows(cells, batch, settings)))
         if in_flight:
             batch, tasks = in_flight.popleft()
-            state.add(batch, np.concatenate([result["hits"] for result in cells.take(tasks)]))
+            shots += len(batch)
+            again = state.add(batch, cells.take(tasks))
+            taken[again] = False  # their rows did not fit: they may be picked again when light comes back to them
             inside, outside = state.missing()
         else:
             # No bright side is left without a row: solve, and see whether that brightens the others.
@@ -267,16 +360,7 @@ def solve(patches, surfaces, sky, cells, settings):
             sweeps += more
             _, outside = state.missing()
             settled = outside <= target / 2 or not len(state.pick(taken))
-        rounds.append(
-            Round(
-                number=len(rounds) + 1,
-                unshot=float(abs(state.unshot.sum()) / max(state.emitted.sum(), 1e-300)),
-                bound=float(inside + outside),
-                rows=len(state.rows.sides),
-                rays=count * settings.patch_samples + state.rows.hits.size,
-                seconds=perf_counter() - begun,
-            )
-        )
+        rounds.append(round_of(state, rounds, inside + outside, shots, begun))
         yield rounds[-1]
     return Solution(
         reflected=surfaces.send(irradiance),
@@ -285,16 +369,11 @@ def solve(patches, surfaces, sky, cells, settings):
         sweeps=sweeps,
         bound=rounds[-1].bound,
         converged=rounds[-1].bound <= target,
-        energy={
-            "emitted_w": float(state.emitted.sum()),
-            "absorbed_w": float(state.absorbed.sum()),
-            "escaped_w": float(state.escaped.sum()),
-            "unshot_w": float(state.unshot.sum()),
-        },
+        energy=state.energy(),
     )
 
 
-def _light_patches(cells, count, settings):
+def light_patches(cells, count, settings):
     """(C, 2 N) direct irradiance of all patch sides."""
     size = max(TASK_RAYS // settings.patch_samples, 1)
     tasks = [
@@ -304,8 +383,16 @@ def _light_patches(cells, count, settings):
     return np.concatenate([result["direct"] for result in cells.take(tasks)], axis=1)
 
 
-def _trace_rows(cells, sides, settings):
+def make_rows(count, settings):
+    """Empty rows of `count` sides, of the kind that the settings ask for."""
+    memory = settings.memory * ROWS_SHARE
+    return RayRows(count, settings.row_rays, memory) if settings.rows == "rays" else AnalyticRows(count, memory)
+
+
+def submit_rows(cells, sides, settings):
     """Ids of the tasks that find the rows of sides (K,)."""
+    if settings.rows == "analytic":
+        return [cells.submit("analytic", sides=part, seed=settings.seed) for part in _parts(sides, ANALYTIC_TASK)]
     size = max(TASK_RAYS // settings.row_rays, 1)
     return [
         cells.submit("rows", sides=part, rays=settings.row_rays, seed=settings.seed) for part in _parts(sides, size)

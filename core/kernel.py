@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from functools import cached_property
 
+import numpy as np
+
 from .lights import Sources
 from .patches import Patches, patch_of_hit
 from .points import Points
@@ -64,10 +66,21 @@ class Kernel:
     def points(self):
         return from_arrays(Points, "points", self.arrays)
 
+    @cached_property
+    def element_corners(self):
+        """Corners (M, 4, 3) of the patches' elements, a triangle's last one twice, and the patch (M,) of each."""
+        p, a, b = np.moveaxis(self.patches.element_frame, 1, 0)
+        far = np.where(self.patches.element_square[:, None], p + a + b, p + b)
+        owner = np.repeat(np.arange(len(self.patches)), np.diff(self.patches.element_start))
+        return np.stack([p, p + a, far, p + b], axis=1), owner
+
     def renewed(self, arrays):
         """A kernel with some arrays replaced; what was built from the others is kept."""
         kernel = Kernel({**self.arrays, **arrays})
-        built = {"caster": "scene.", "patches": "patches.", "sources": "sources.", "points": "points."}
+        built = {
+            "caster": "scene.", "patches": "patches.", "element_corners": "patches.", "sources": "sources.",
+            "points": "points.",
+        }  # fmt: skip
         for name, prefix in built.items():
             if name in self.__dict__ and not any(key.startswith(prefix) for key in arrays):
                 kernel.__dict__[name] = self.__dict__[name]

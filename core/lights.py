@@ -47,6 +47,15 @@ class Sources:
     def __len__(self):
         return len(self.kind)
 
+    def only(self, chosen):
+        """The Sources that are chosen, (S,) bool."""
+        return _joined([self._one(s) for s in np.flatnonzero(chosen)])
+
+    def _one(self, s):
+        alone = {f.name: getattr(self, f.name)[s : s + 1] for f in fields(self)}
+        corner = self.polygon(s)
+        return Sources(**{**alone, "corner_start": np.array([0, len(corner)], np.int32), "corner": corner})
+
     def polygon(self, s):
         """(V, 3) corners of FLAT source s."""
         return self.corner[self.corner_start[s] : self.corner_start[s + 1]]
@@ -99,7 +108,8 @@ def unoccluded(sources, s, position, normal):
 
 
 def patch_irradiance(sources, caster, centroid, position, normal, a, b):
-    """(K, 3) mean direct irradiance [W/m^2] of K patches, from their centroids (K, 3) and places (K, n, 3) on them.
+    """(K, C) mean direct irradiance [W/m^2] of K patches, from their centroids (K, 3) and places (K, n, 3) on them; and
+    (K,) bool, patches so near a source, or so curved, that their places do not all get the same.
 
     From each place one test ray goes to the place a, b (K, n) of every source. normal: (K, 1 or n, 3) at the places; the
     centroids take the first one. A source gives Lambert's
@@ -110,8 +120,17 @@ def patch_irradiance(sources, caster, centroid, position, normal, a, b):
     total = np.zeros((count, sources.strength.shape[1]))
     start = caster.start(position, normal)
     normal = np.broadcast_to(normal, position.shape)
+    curved = (normal != normal[:, :1]).any(axis=(1, 2))
+    spread = length(position - centroid[:, None]).max(axis=1)
+    uneven = np.zeros(count, bool)
     for s in range(len(sources)):
-        factor = _mean_factor(sources, s, centroid, position, normal)
+        factor = unoccluded(sources, s, centroid, normal[:, 0])
+        differs = curved if sources.kind[s] == SUN else curved | (spread > NEAR * _distance(sources, s, centroid))
+        near = np.flatnonzero(differs)
+        if len(near):
+            each = unoccluded(sources, s, position[near].reshape(-1, 3), normal[near].reshape(-1, 3))
+            factor[near] = np.einsum("kn->k", each.reshape(-1, places)) / places
+            uneven[near] |= factor[near] > 0
         lit = np.flatnonzero(factor > 0)
         if not len(lit):
             continue
@@ -119,7 +138,7 @@ def patch_irradiance(sources, caster, centroid, position, normal, a, b):
         weight, seen = test_rays(sources, s, caster, place, each, each, origin, a[lit].reshape(-1), b[lit].reshape(-1))
         share = ratio(*(np.einsum("kn->k", x.reshape(-1, places)) for x in (seen, weight)))
         total[lit] += (factor[lit] * share)[:, None] * sources.strength[s]
-    return total
+    return total, uneven
 
 
 def test_rays(sources, s, caster, position, normal, geometric, start, a, b):
@@ -153,22 +172,6 @@ def test_rays(sources, s, caster, position, normal, geometric, start, a, b):
     seen = weight.copy()
     seen[cast[blocked]] = 0.0
     return weight, seen
-
-
-def _mean_factor(sources, s, centroid, position, normal):
-    """(K,) unoccluded irradiance per unit of strength, the mean over patches: at their centroids (K, 3), or the mean
-    over the places (K, n, 3), with normals there, where these are far apart for their distance from the source."""
-    places = position.shape[1]
-    factor = unoccluded(sources, s, centroid, normal[:, 0])
-    turns = (normal != normal[:, :1]).any(axis=(1, 2))
-    if sources.kind[s] != SUN:
-        spread = length(position - centroid[:, None]).max(axis=1)
-        turns |= spread > NEAR * _distance(sources, s, centroid)
-    near = np.flatnonzero(turns)
-    if len(near):
-        each = unoccluded(sources, s, position[near].reshape(-1, 3), normal[near].reshape(-1, 3))
-        factor[near] = np.einsum("kn->k", each.reshape(-1, places)) / places
-    return factor
 
 
 def _distance(sources, s, position):

@@ -88,8 +88,8 @@ def make_report(bake, *, scene, version, layers, domain, start, read, write):
         },
         "transport": {
             "rounds": len(solution.rounds),
-            "shots": solution.rounds[-1].rows if solution.rounds else 0,
-            "schedule": "dynamic",
+            "shots": solution.rounds[-1].shots if solution.rounds else 0,
+            "schedule": bake.settings.schedule,
             "curve": [dict(seconds=r.seconds, unshot=r.unshot, bound=r.bound) for r in solution.rounds],
             "converged": solution.converged,
         },

@@ -1,7 +1,9 @@
 """Form-factor rows: where the light that leaves a patch side arrives.
 
 Owns the two estimators of a row, and the direct light of patch sides. `rays`: n cosine-distributed rays from points
-over the patch; a row is its n hits, its entries sum to exactly 1 with what escaped.
+over the patch; a row is its n hits, its entries sum to exactly 1 with what escaped. `analytic`: Lambert's factor from
+points on the patch to every other patch that it faces, times the share of shadow rays between the two that get through;
+its cost grows with the number of patches that are faced, and it has no noise where nothing stands in the way.
 """
 
 from __future__ import annotations
@@ -11,9 +13,23 @@ import numpy as np
 from .kernel import blocks
 from .lights import patch_irradiance
 from .patches import draw_on_patches
-from .sampling import hemisphere, lattice4, scatter, tangents
+from .polygons import polygon_factor
+from .sampling import R4, hemisphere, lattice4, scatter, tangents
+from .vectors import dot, length
 
-ROW, DIRECT = 1, 2  # salts: the samples of rows and of direct light have nothing in common
+ROW, DIRECT, SHADOW = 1, 2, 5  # salts: the samples of rows and of direct light have nothing in common
+UNEVEN = 8  # times as many places on patches near a source
+# Gauss-Legendre nodes and weights on [0, 1].
+GAUSS = {
+    1: ((0.5,), (1.0,)),
+    2: ((0.2113248654051871, 0.7886751345948129), (0.5, 0.5)),
+    4: (
+        (0.06943184420297371, 0.33000947820757187, 0.6699905217924281, 0.9305681557970263),
+        (0.17392742256872692, 0.32607257743127307, 0.32607257743127307, 0.17392742256872692),
+    ),
+}
+SHADOW_RAYS = 4  # between a shooter and every patch that it faces
+SHADOW_MORE = 12  # where some of them got through and some did not
 
 
 def trace_rows(kernel, sides, rays, seed):
@@ -25,15 +41,117 @@ def trace_rows(kernel, sides, rays, seed):
     return {"hits": hits}
 
 
+def analytic_rows(kernel, sides, seed):
+    """Rows of patch sides (K,) as what they send to whom: "start" (K + 1,), "target" (Z,) int32 sides and "share" (Z,)."""
+    targets, shares = zip(*(_analytic_row(kernel, side, seed) for side in sides))
+    start = np.concatenate([[0], np.cumsum([len(t) for t in targets])])
+    return {"start": start, "target": np.concatenate(targets).astype(np.int32), "share": np.concatenate(shares)}
+
+
+def _analytic_row(kernel, side, seed):
+    """Sides (Z,) that a side sends light to, and the share (Z,) that each gets. Never more than 1 in all."""
+    patches = kernel.patches
+    shooter, normal = side >> 1, patches.normal[side >> 1] * (1 - 2 * (side & 1))
+    center, size = patches.centroid[shooter], np.sqrt(patches.area[shooter])
+    corners, owner = kernel.element_corners
+    facing = (dot(corners - center, normal) > 1e-6 * size).any(axis=1)
+    facing &= owner != shooter
+    element = np.flatnonzero(facing)
+
+    # Lambert's factor at points on the shooter, more the closer the receiver is; where a smaller receiver is close,
+    # at points on the receiver, by reciprocity: a strip beside a wide floor is seen from few points of the floor.
+    middle = corners[element].mean(axis=1)
+    reach = length(corners[element] - middle[:, None]).max(axis=1)
+    distance = np.maximum(length(middle - center) - reach, 0.0) / size
+    area = patches.element_area[element]
+    swap = (distance < 2.0) & (area < patches.area[shooter])
+    factor = np.zeros(len(element))
+    for order, near in ((1, distance >= 5.8), (2, (distance >= 1.3) & (distance < 5.8)), (4, distance < 1.3)):
+        chosen = np.flatnonzero(near & ~swap)
+        if len(chosen):
+            factor[chosen] = _factor_from(kernel, shooter, normal, corners[element[chosen]], order)
+    chosen = np.flatnonzero(swap)
+    if len(chosen):
+        factor[chosen] = _factor_to(kernel, shooter, normal, element[chosen]) * area[chosen] / patches.area[shooter]
+    share = np.bincount(owner[element], factor, len(patches))
+    receiver = np.flatnonzero(share > 0)
+    behind = dot(center - patches.centroid[receiver], patches.normal[receiver]) < 0
+
+    # The visible share, by rays between the two patches; more of them where they disagree.
+    seen = _passing(kernel, side, receiver, behind, 0, SHADOW_RAYS, seed)
+    mixed = np.flatnonzero((seen > 0) & (seen < SHADOW_RAYS))
+    rays = np.full(len(receiver), float(SHADOW_RAYS))
+    if len(mixed):
+        seen[mixed] += _passing(kernel, side, receiver[mixed], behind[mixed], SHADOW_RAYS, SHADOW_MORE, seed)
+        rays[mixed] += SHADOW_MORE
+    share = share[receiver] * seen / rays
+    sent = np.flatnonzero(share)
+    return 2 * receiver[sent] + behind[sent], share[sent] / max(share.sum(), 1.0)
+
+
+def _factor_from(kernel, shooter, normal, corners, order):
+    """(K,) form factors from a patch to polygons (K, 4, 3): Lambert's, averaged over order^2 Gauss points on it."""
+    node, weight = GAUSS[order]
+    a, b = (x.reshape(1, -1) for x in np.meshgrid(node, node))
+    places, _ = draw_on_patches(kernel.patches, np.array([shooter]), a, b)
+    up = np.broadcast_to(normal, (len(corners), 3))
+    factor = np.zeros(len(corners))
+    for place, w in zip(places[0], np.multiply.outer(weight, weight).reshape(-1)):
+        factor += w * polygon_factor(np.broadcast_to(place, (len(corners), 3)), up, corners)
+    return factor
+
+
+def _factor_to(kernel, shooter, normal, element):
+    """(K,) form factors from elements (K,) to a patch, on the side of it that `normal` is of."""
+    corners, owner = kernel.element_corners
+    node, weight = GAUSS[4]
+    frame, square = kernel.patches.element_frame[element], kernel.patches.element_square[element]
+    facing = kernel.patches.normal[owner[element]]
+    toward = kernel.patches.centroid[shooter] - corners[element].mean(axis=1)
+    facing = np.where(dot(toward, facing)[:, None] < 0, -facing, facing)
+    factor = np.zeros(len(element))
+    for a, wa in zip(node, weight):
+        for b, wb in zip(node, weight):
+            fold = ~square & (a + b > 1.0)
+            u, v = np.where(fold, 1 - a, a)[:, None], np.where(fold, 1 - b, b)[:, None]
+            place = frame[:, 0] + u * frame[:, 1] + v * frame[:, 2]
+            seen = dot(place - kernel.patches.centroid[shooter], normal) > 0
+            for e in range(*kernel.patches.element_start[shooter : shooter + 2]):
+                factor += wa * wb * seen * polygon_factor(place, facing, corners[e])
+    return factor
+
+
+def _passing(kernel, side, receiver, behind, first, rays, seed):
+    """(K,) how many of the rays `first` to `first + rays` from a side to patches (K,), seen from their back or front
+    (K,) bool, get through."""
+    number = first + np.arange(rays)
+    shift = scatter((receiver[:, None] + np.int64(side) * len(kernel.patches)) * 4 + np.arange(4), SHADOW + 8 * seed)
+    a, b, c, d = ((number * R4[k] + shift[:, k, None]) % 1.0 for k in range(4))
+    start, up = _places(kernel, np.full(len(receiver), side), a, b)
+    stop, facing = _places(kernel, 2 * receiver + behind, c, d)
+    ends = (kernel.caster.start(x, n).reshape(-1, 3) for x, n in ((start, up), (stop, facing)))
+    return (~kernel.caster.blocked(*ends)).reshape(-1, rays).sum(axis=1).astype(float)
+
+
 def light_patches(kernel, sides, samples, seed):
-    """{"direct": (C, K)} mean irradiance [W/m^2] that the sources give patch sides (K,), from `samples` places each."""
+    """{"direct": (C, K)} mean irradiance [W/m^2] that the sources give patch sides (K,), from `samples` places each, and
+    UNEVEN times as many where they do not all get the same for a source that is near."""
     direct = np.empty((kernel.sources.strength.shape[1], len(sides)))
+    uneven = np.zeros(len(sides), bool)
     for part in blocks(len(sides), samples):
-        a, b, *place = _shifted(sides[part], samples, seed, DIRECT)
-        position, normal = _places(kernel, sides[part], *place)
-        centroid = kernel.patches.centroid[sides[part] >> 1]
-        direct[:, part] = patch_irradiance(kernel.sources, kernel.caster, centroid, position, normal, a, b).T
+        light, uneven[part] = _light(kernel, sides[part], samples, seed)
+        direct[:, part] = light.T
+    again = np.flatnonzero(uneven)
+    for part in blocks(len(again), UNEVEN * samples):
+        direct[:, again[part]] = _light(kernel, sides[again[part]], UNEVEN * samples, seed)[0].T
     return {"direct": direct}
+
+
+def _light(kernel, sides, samples, seed):
+    """What `patch_irradiance` says of patch sides (K,)."""
+    a, b, *place = _shifted(sides, samples, seed, DIRECT)
+    position, normal = _places(kernel, sides, *place)
+    return patch_irradiance(kernel.sources, kernel.caster, kernel.patches.centroid[sides >> 1], position, normal, a, b)
 
 
 def _row_rays(kernel, sides, rays, seed):

@@ -16,7 +16,8 @@ class Settings:
     error: the relative error asked for. seed: of all sample sequences. patch_edge: longest edge of a patch, as a share
     of the scene's diagonal; None makes every polygon one patch. row_rays: of a form-factor row. patch_samples: places
     on a patch where its direct light is tested. gather_rays: of a point. side: whose light is asked for, of each
-    face: "front", "back" or "lit" (the one that gets more).
+    face: "front", "back" or "lit" (the one that gets more). schedule: "dynamic" or "paper"; rows: "rays" or "analytic",
+    the estimator of form-factor rows. memory: what host and cells together may use [bytes].
     """
 
     error: float = PRESETS["good"]
@@ -25,6 +26,9 @@ class Settings:
     row_rays: int = 16
     patch_samples: int = 4
     gather_rays: int = 48
+    schedule: str = "dynamic"
+    rows: str = "rays"
+    memory: float = 2e9
     side: str = "front"
 
     @classmethod

@@ -2,6 +2,12 @@
 
 from .contacts import find_contacts
 from .gather import gather_points
-from .rows import light_patches, trace_rows
+from .rows import analytic_rows, light_patches, trace_rows
 
-TASKS = {"contacts": find_contacts, "direct": light_patches, "rows": trace_rows, "gather": gather_points}
+TASKS = {
+    "contacts": find_contacts,
+    "direct": light_patches,
+    "rows": trace_rows,
+    "analytic": analytic_rows,
+    "gather": gather_points,
+}

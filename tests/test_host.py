@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cell_radiosity.core.cells import LocalCells
-from cell_radiosity.core.host import Transport, fixed_point, solve
+from cell_radiosity.core.host import RayRows, Transport, fixed_point, solve
 from cell_radiosity.core.kernel import scene_arrays
 from cell_radiosity.core.lights import make_sources
 from cell_radiosity.core.patches import make_patches
@@ -50,7 +50,8 @@ def start(request):
         [cells.submit("direct", sides=sides, samples=4, seed=0), cells.submit("rows", sides=sides, rays=RAYS, seed=0)]
     )
     sky = np.pi * np.asarray(scene.world.radiance)
-    return Transport(patches.area, surfaces, direct["direct"], sky, RAYS), rows["hits"]
+    store = RayRows(len(sides), RAYS, 1e9)
+    return Transport(patches.area, surfaces, direct["direct"], sky, store), rows["hits"]
 
 
 def everything(state, hits):
@@ -84,7 +85,7 @@ def test_balance_and_bound_after_every_round(start):
         before = state.unshot[:, batch].copy()
         seen = state.surfaces.send(np.where(taken & ~state.rows.kept, state.area * (hits < 0).mean(1) * state.sky, 0.0))
         shot[:, batch] += before + seen[:, batch]
-        state.add(batch, hits[batch])
+        state.add(batch, [{"hits": hits[batch]}])
         rounds += 1
         balance = state.absorbed + state.escaped + state.unshot.sum(axis=1)
         np.testing.assert_allclose(balance, state.emitted, rtol=1e-12)
@@ -102,7 +103,7 @@ def test_settled_is_the_dense_solve_of_the_rows(start):
     """After `settle`, every side with a row gathers over it what the others send: H = direct + F (own + send H)."""
     state, hits = start
     everyone = np.arange(len(hits))
-    state.add(everyone, hits)
+    state.add(everyone, [{"hits": hits}])
     irradiance, sweeps, bound = state.settle(1e-9)
     light = np.column_stack([state.surfaces.found + state.surfaces.send(irradiance), state.sky[:, 0]])
     gathered = state.direct + light[:, hits].mean(axis=2)
@@ -142,7 +143,7 @@ def test_nothing_gives_light():
     steps = solve(patches, surfaces, np.zeros(3), cells, Settings())
     with pytest.raises(StopIteration) as end:
         while True:
-            assert next(steps).rows == 0
+            assert next(steps).shots == 0
     solution = end.value.value
     assert not solution.irradiance.any()
     assert solution.converged

@@ -1,0 +1,49 @@
+"""The schedule of the paper, as it was: emitters shoot like any other patch, as many patches a round as there are
+cells, each cell finds the form factors of its patch, and all wait for the slowest.
+
+Source: Kunitani, Sato, Kondo, Shimada, "Parallel Processing of Reflex Action in Radiosity Calculation".
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from time import perf_counter
+
+from .host import Solution, Transport, light_patches, make_rows, round_of, submit_rows
+from .records import to_arrays
+
+
+def solve_paper(patches, surfaces, sources, sky, cells, settings):
+    """Find the Solution: a generator that yields a Round after every round and returns the Solution.
+
+    sky: (C,) exitance of the world [W/m^2]. cells: started with `kernel.scene_arrays`; a round is one patch for each.
+    """
+    begun = perf_counter()
+    count, target = 2 * len(patches), settings.error / 10
+    # Faces shoot the light they emit; only lamps, which are no faces, light the patches first-hand. No row is kept.
+    cells.start(to_arrays("sources", sources.only(~sources.two_sided)))
+    direct = light_patches(cells, count, settings)
+    cells.start(to_arrays("sources", sources))
+    rows = make_rows(count, replace(settings, memory=0))
+    state = Transport(patches.area, surfaces, direct, sky, rows, own=surfaces.exitance)
+    rounds, shots = [], 0
+    while True:
+        batch = state.pick(rows.kept, cells.count)
+        bound = sum(state.missing())
+        if not len(batch) or bound <= target:
+            break
+        tasks = [task for side in batch for task in submit_rows(cells, batch[batch == side], settings)]
+        state.add(batch, cells.take(tasks))
+        shots += len(batch)
+        rounds.append(round_of(state, rounds, sum(state.missing()), shots, begun))
+        yield rounds[-1]
+    irradiance = state.arrived / state.area
+    return Solution(
+        reflected=surfaces.send(irradiance),
+        irradiance=irradiance,
+        rounds=tuple(rounds),
+        sweeps=0,
+        bound=float(bound),
+        converged=bool(bound <= target),
+        energy=state.energy(),
+    )
