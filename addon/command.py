@@ -15,17 +15,19 @@ from pathlib import Path
 
 import bpy
 
+from ..core.experiment import as_dictionary, decades, experiment, shots_per_decade, table
 from ..core.layers import LAYERS
 from ..core.report import write_json
-from ..core.settings import PRESETS
-from .errors import Refused
-from .job import Job, Options
+from ..core.settings import PRESETS, SCHEDULES
+from .errors import Refused, Usage
+from .job import Job, Options, default_cells, wanted_by
+from .plots import plot_cells, pyplot
 from .progress import Bar, summary
+from .read_scene import read_scene
 from .version import version
 
 LATER = {
-    "--time": "a time limit", "--target": "lightmaps", "--mesh": "subdivision", "--schedule": "another schedule",
-    "--rows": "another row estimator", "--per-object": "an error per object", "--memory": "a memory limit",
+    "--time": "a time limit", "--target": "lightmaps", "--mesh": "subdivision", "--per-object": "an error per object",
     "--state": "state files", "--groups": "light groups", "--force-effects": "forced effects",
     "--texels-per-meter": "lightmaps", "--size": "lightmaps", "--uv": "lightmaps", "--max-edge": "subdivision",
     "--min-edge": "subdivision", "--contrast": "subdivision", "--vertices": "subdivision", "--in-place": "subdivision",
@@ -92,38 +94,98 @@ class _NotYet(argparse.Action):
         parser.error(f"{option_string}: {LATER[option_string]} cannot be asked for in this version")
 
 
+def _memory(text):
+    units = {"K": 1e3, "M": 1e6, "G": 1e9, "T": 1e12}
+    try:
+        value = float(text[:-1]) * units[text[-1].upper()] if text[-1:].upper() in units else float(text)
+    except ValueError:
+        value = 0.0
+    if not value >= 1e7:
+        raise argparse.ArgumentTypeError(f"{text!r} is not an amount of memory of 10M or more, like 2G")
+    return value
+
+
+def _counts(text):
+    return tuple(dict.fromkeys(_count(part) for part in text.split(",")))
+
+
+def _schedules(text):
+    names = tuple(dict.fromkeys(text.split(",")))
+    if unknown := [name for name in names if name not in SCHEDULES]:
+        raise argparse.ArgumentTypeError(f"{', '.join(unknown)}: schedules are {', '.join(SCHEDULES)}")
+    return names
+
+
 def _parser():
     parser = argparse.ArgumentParser("radiosity", description="Bakes interreflected light into Blender meshes.")
     parser.add_argument("--version", action="version", version=version())
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
     bake = commands.add_parser("bake", help="bake scenes", description="Bake scenes and save the lit copies.")
     bake.set_defaults(run=run_bake)
     bake.add_argument("scenes", nargs="*", metavar="SCENE.blend", help="files to bake (inside Blender: the open one)")
     bake.add_argument(
         "-o", "--output", metavar="OUT.blend", help="default: SCENE_radiosity.blend; a folder for several"
     )
-    accuracy = bake.add_mutually_exclusive_group()
-    accuracy.add_argument("--error", type=percent, metavar="2%", help="relative error to reach")
-    accuracy.add_argument("--preset", choices=PRESETS, help="10, 2 or 0.5 %% error (default: good)")
     bake.add_argument(
         "--layers", type=_layers, default=("Radiosity", "Lighting"), metavar="A,B", help=", ".join(LAYERS)
     )
     bake.add_argument("--domain", choices=("corner", "point"), default="corner", help="where colors are kept")
-    bake.add_argument("--objects", action="append", default=[], metavar="NAME", help="write to this one (or glob) only")
-    bake.add_argument("--side", choices=("front", "back", "lit"), default="front", help="the side of faces to bake")
     bake.add_argument("--shared", choices=("copy", "skip"), default="copy", help="what to do with shared meshes")
-    bake.add_argument("--max-patch", type=_patch, metavar="M", help="longest edge of a patch [m], or 'mesh'")
     bake.add_argument("--cells", type=_count, default=0, metavar="N", help="processes (default: one per core)")
-    bake.add_argument("--seed", type=int, default=0, metavar="N", help="of all samples")
-    bake.add_argument("--frame", type=int, metavar="N", help="bake this frame")
-    bake.add_argument("--scene", metavar="NAME", help="bake this scene of the file")
+    bake.add_argument("--schedule", choices=SCHEDULES, default="dynamic", help="how light is shot (default: dynamic)")
     bake.add_argument("--strict", action="store_true", help="fail if anything is wrong with the scene's data")
     bake.add_argument("--report", metavar="R.json", help="write a report; a folder for several scenes")
     bake.add_argument("--picture", metavar="P.png", help="write a picture of the result; a folder for several scenes")
-    bake.add_argument("--quiet", action="store_true", help="no progress")
-    for option in LATER:
-        bake.add_argument(option, nargs="*", action=_NotYet, help=argparse.SUPPRESS)
+    _add_scene_options(bake)
+
+    cells = commands.add_parser(
+        "cells", help="time against cells",
+        description="The paper's experiment: time against the number of cells, measured on this machine's cores and "
+        "replayed beyond them.",
+    )  # fmt: skip
+    cells.set_defaults(run=run_cells)
+    cells.add_argument("scene_file", nargs="?", metavar="SCENE.blend", help="the file (inside Blender: the open one)")
+    cells.add_argument("--counts", type=_counts, metavar="1,2,4", help="cells to measure (default: 1 up to the cores)")
+    cells.add_argument("--schedule", type=_schedules, default=SCHEDULES, metavar="paper,dynamic", help="default: both")
+    cells.add_argument("--report", metavar="R.json", help="write all figures")
+    cells.add_argument("--plot", metavar="P.png", help="draw speed-up and losses")
+    _add_scene_options(cells)
     return parser
+
+
+def _add_scene_options(parser):
+    """Options about the scene and the accuracy, which all commands share."""
+    accuracy = parser.add_mutually_exclusive_group()
+    accuracy.add_argument("--error", type=percent, metavar="2%", help="relative error to reach")
+    accuracy.add_argument("--preset", choices=PRESETS, help="10, 2 or 0.5 %% error (default: good)")
+    parser.add_argument(
+        "--objects", action="append", default=[], metavar="NAME", help="write to this one (or glob) only"
+    )
+    parser.add_argument("--side", choices=("front", "back", "lit"), default="front", help="the side of faces to bake")
+    parser.add_argument("--max-patch", type=_patch, metavar="M", help="longest edge of a patch [m], or 'mesh'")
+    parser.add_argument("--rows", choices=("rays", "analytic"), help="estimator of form factors (default: rays)")
+    parser.add_argument("--memory", type=_memory, default=0.0, metavar="2G", help="memory that may be used")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of all samples")
+    parser.add_argument("--frame", type=int, metavar="N", help="take this frame")
+    parser.add_argument("--scene", metavar="NAME", help="take this scene of the file")
+    parser.add_argument("--quiet", action="store_true", help="no progress")
+    for option in LATER:
+        parser.add_argument(option, nargs="*", action=_NotYet, help=argparse.SUPPRESS)
+
+
+def _options(arguments, **others):
+    """The Options of a command line."""
+    return Options(
+        error=arguments.error or PRESETS[arguments.preset or "good"],
+        objects=tuple(arguments.objects),
+        side=arguments.side,
+        max_patch=arguments.max_patch,
+        rows=arguments.rows,
+        memory=arguments.memory,
+        seed=arguments.seed,
+        **others,
+    )
 
 
 def run_bake(arguments):
@@ -156,11 +218,15 @@ def _bake_file(path, arguments, several):
         _open(source)
     written_by = tuple(bpy.data.version)
     context = _context(arguments)
-    options = Options(
-        error=arguments.error or PRESETS[arguments.preset or "good"], layers=arguments.layers, domain=arguments.domain.upper(),
-        objects=tuple(arguments.objects), side=arguments.side, cells=arguments.cells, seed=arguments.seed,
-        max_patch=arguments.max_patch, shared=arguments.shared, strict=arguments.strict,
-    )  # fmt: skip
+    options = _options(
+        arguments,
+        layers=arguments.layers,
+        domain=arguments.domain.upper(),
+        cells=arguments.cells,
+        shared=arguments.shared,
+        schedule=arguments.schedule,
+        strict=arguments.strict,
+    )
     job = Job(context, options)
     try:
         with Bar(quiet=arguments.quiet) as bar:
@@ -183,6 +249,48 @@ def _bake_file(path, arguments, several):
             new = ".".join(map(str, bpy.app.version[:2]))
             print(f"{output} has the file format of Blender {new}: Blenders before 4.5 cannot open it", flush=True)
         print(f"{os.path.basename(source)}: {summary(job.result)}; saved {output}", flush=True)
+
+
+def run_cells(arguments):
+    """Measure and replay a scene on many cells; returns the exit code."""
+    path = arguments.scene_file
+    source = path or bpy.data.filepath
+    try:
+        if not source:
+            raise Usage("no scene: name a .blend file")
+        if arguments.plot:
+            pyplot()
+        for place in (arguments.report, arguments.plot):
+            _check_writable(place and os.path.abspath(place))
+        if path:
+            _open(os.path.abspath(path))
+        scene, _ = read_scene(_context(arguments), wanted_by(arguments.objects))
+        settings = _options(arguments).settings(scene.diagonal)
+        cores = default_cells()
+        counts = arguments.counts or tuple(n for n in (1, 2, 4, 8, 16, 32, 64) if n < cores) + (cores,)
+        replays = tuple(sorted({*counts, *(2**k for k in range(11))}))
+        runs = []
+        for run in experiment(scene, settings, arguments.schedule, counts, replays):
+            runs.append(run)
+            if not arguments.quiet:
+                print(
+                    f"{run.schedule}, {run.cells} cells, {run.kind}: {run.seconds:.2f} s", file=sys.stderr, flush=True
+                )
+        print(table(runs), flush=True)
+        decade = shots_per_decade(scene, settings)
+        for line in decades(runs, decade):
+            print(line, flush=True)
+        if arguments.report:
+            write_json(as_dictionary(os.path.abspath(source), runs, decade), os.path.abspath(arguments.report))
+        if arguments.plot:
+            plot_cells(runs, os.path.abspath(arguments.plot), os.path.basename(source))
+    except Usage as problem:
+        print(f"radiosity: {problem}", file=sys.stderr)
+        return 2
+    except (Refused, OSError) as problem:
+        print(f"radiosity: {source}: {problem}", file=sys.stderr)
+        return 1
+    return 0
 
 
 def _place(given, source, suffix, several):

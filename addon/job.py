@@ -19,7 +19,8 @@ from .write_result import check_names, remove_copies, write_result
 
 @dataclass(frozen=True)
 class Options:
-    """What the user asked for. objects: names or globs of the objects to write, () for all. error: relative."""
+    """What the user asked for. objects: names or globs of the objects to write, () for all. error: relative. cells,
+    memory [bytes]: 0 leaves them to the machine. rows: None takes what the schedule goes with."""
 
     error: float = 0.02
     layers: tuple = ("Radiosity", "Lighting")
@@ -31,10 +32,20 @@ class Options:
     max_patch: float | str | None = None
     shared: str = "copy"
     strict: bool = False
+    schedule: str = "dynamic"
+    rows: str | None = None
+    memory: float = 0.0
 
     def settings(self, diagonal):
         """The core's Settings; diagonal: of the scene [m]."""
-        settings = Settings.for_error(self.error, seed=self.seed, side=self.side)
+        settings = Settings.for_error(
+            self.error,
+            seed=self.seed,
+            side=self.side,
+            schedule=self.schedule,
+            rows=self.rows or ("analytic" if self.schedule == "paper" else "rays"),
+            memory=self.memory or default_memory(),
+        )
         if self.max_patch == "mesh":
             return replace(settings, patch_edge=None)
         if self.max_patch is not None:
@@ -56,6 +67,19 @@ def default_cells():
         except OSError:
             break
     return max(min(cores, len(siblings) or cores), 1)
+
+
+def default_memory():
+    """Half of the machine's memory [bytes]; 4 GB where the system does not say."""
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2
+    except (AttributeError, ValueError, OSError):
+        return 4e9
+
+
+def wanted_by(patterns):
+    """A function of a name, whether one of the patterns (names or globs) fits it; None if there are none."""
+    return (lambda name: any(fnmatchcase(name, p) for p in patterns)) if patterns else None
 
 
 class Job:
@@ -83,8 +107,7 @@ class Job:
     def _read(self, context):
         remove_copies(context.scene)
         patterns = self.options.objects
-        wanted = (lambda name: any(fnmatchcase(name, p) for p in patterns)) if patterns else None
-        self.scene, self.targets = read_scene(context, wanted, self.options.shared)
+        self.scene, self.targets = read_scene(context, wanted_by(patterns), self.options.shared)
         if not len(self.scene.triangles):
             raise Refused("there is no mesh to bake: no visible object with faces")
         if not self.targets:

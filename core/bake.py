@@ -71,7 +71,8 @@ def _bake(scene, settings, cells):
     patches = make_patches(scene, edge)
     sources, sampled = make_sources(scene)
     cells.start(scene_arrays(scene, patches, sources))
-    patches = cut_contacts(scene, patches, cells)
+    if edge is not None:  # patches that are to be the mesh's own polygons stay what they are
+        patches = cut_contacts(scene, patches, cells)
     surfaces = make_surfaces(scene, patches, sampled)
     sky = np.pi * np.asarray(scene.world.radiance, float)
     clock.lap("patches")

@@ -36,6 +36,8 @@ def serve(pipe):
         busy.set()
         try:
             outbox.put(("done", number, *run_task(kernel, name, arguments)))
+        except MemoryError:
+            os._exit(4)  # the host deals the task again, to a fresh cell
         except Exception:
             outbox.put(("error", number, traceback.format_exc(), None))
         if inbox.empty():

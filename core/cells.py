@@ -36,16 +36,17 @@ RESTARTS = 3  # per cell; beyond them the tasks run in this process
 @dataclass
 class Usage:
     """What the cells have used: CPU seconds (`here`: those of them in the host's process), seconds of them inside
-    Embree, rays, and the peak memory [MB] of each process."""
+    Embree, rays; and of each process the CPU seconds, `busy`, and the peak memory [MB]."""
 
     cpu: float = 0.0
     here: float = 0.0
     embree: float = 0.0
     rays: int = 0
+    busy: dict = field(default_factory=dict)
     memory: dict = field(default_factory=dict)
 
     def snapshot(self):
-        return replace(self, memory=dict(self.memory))
+        return replace(self, busy=dict(self.busy), memory=dict(self.memory))
 
     def add(self, cell, spent):
         cpu, embree, rays, memory = spent
@@ -54,6 +55,7 @@ class Usage:
             self.here += cpu
         self.embree += embree
         self.rays += int(rays)
+        self.busy[cell] = self.busy.get(cell, 0.0) + cpu
         self.memory[cell] = max(self.memory.get(cell, 0.0), memory)
 
 

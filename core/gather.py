@@ -17,7 +17,7 @@ from .records import to_arrays
 from .sampling import R2, hemisphere, lattice, scatter, tangents
 from .vectors import counted, dot, length, ratio
 
-TASK_RAYS = 1 << 17  # of one task: some 20 to 50 ms
+TASK_RAYS = 1 << 15  # of one task: some 10 ms
 TABLES = 64  # direction tables, each turned by a step of its own; a point's shift picks one
 APART = (0.41421356237309503, 0.7320508075688772)  # steps from point to point of the test rays' shifts
 GATHER, TEST = 3, 4  # salts of the sample sequences

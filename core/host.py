@@ -15,7 +15,7 @@ from time import perf_counter
 
 import numpy as np
 
-TASK_RAYS = 1 << 16  # of one task: some 10 to 30 ms
+TASK_RAYS = 1 << 15  # of one task: some 10 ms
 ANALYTIC_TASK = 4  # analytic rows of one task
 ROWS_SHARE = 0.25  # of the memory that a bake may use, for kept rows
 LAG = 3  # batches in flight; a batch is picked from the state that so many batches before it left

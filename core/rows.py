@@ -15,7 +15,7 @@ from .lights import patch_irradiance
 from .patches import draw_on_patches
 from .polygons import polygon_factor
 from .sampling import R4, hemisphere, lattice4, scatter, tangents
-from .vectors import dot, length
+from .vectors import dot, length, ratio
 
 ROW, DIRECT, SHADOW = 1, 2, 5  # salts: the samples of rows and of direct light have nothing in common
 UNEVEN = 8  # times as many places on patches near a source
@@ -78,13 +78,13 @@ def _analytic_row(kernel, side, seed):
     behind = dot(center - patches.centroid[receiver], patches.normal[receiver]) < 0
 
     # The visible share, by rays between the two patches; more of them where they disagree.
-    seen = _passing(kernel, side, receiver, behind, 0, SHADOW_RAYS, seed)
-    mixed = np.flatnonzero((seen > 0) & (seen < SHADOW_RAYS))
-    rays = np.full(len(receiver), float(SHADOW_RAYS))
+    seen, weight = _passing(kernel, side, receiver, behind, 0, SHADOW_RAYS, seed)
+    mixed = np.flatnonzero((seen > 0) & (seen < weight))
     if len(mixed):
-        seen[mixed] += _passing(kernel, side, receiver[mixed], behind[mixed], SHADOW_RAYS, SHADOW_MORE, seed)
-        rays[mixed] += SHADOW_MORE
-    share = share[receiver] * seen / rays
+        more = _passing(kernel, side, receiver[mixed], behind[mixed], SHADOW_RAYS, SHADOW_MORE, seed)
+        seen[mixed] += more[0]
+        weight[mixed] += more[1]
+    share = share[receiver] * ratio(seen, weight)
     sent = np.flatnonzero(share)
     return 2 * receiver[sent] + behind[sent], share[sent] / max(share.sum(), 1.0)
 
@@ -122,15 +122,20 @@ def _factor_to(kernel, shooter, normal, element):
 
 
 def _passing(kernel, side, receiver, behind, first, rays, seed):
-    """(K,) how many of the rays `first` to `first + rays` from a side to patches (K,), seen from their back or front
-    (K,) bool, get through."""
+    """Sums of the weights (K,) of the rays `first` to `first + rays` from a side to patches (K,), seen from their back
+    or front (K,) bool: of those that get through, and of all. A weight is cos cos' / r^2."""
     number = first + np.arange(rays)
     shift = scatter((receiver[:, None] + np.int64(side) * len(kernel.patches)) * 4 + np.arange(4), SHADOW + 8 * seed)
     a, b, c, d = ((number * R4[k] + shift[:, k, None]) % 1.0 for k in range(4))
     start, up = _places(kernel, np.full(len(receiver), side), a, b)
     stop, facing = _places(kernel, 2 * receiver + behind, c, d)
+    toward = stop - start
+    square = dot(toward, toward)
+    weight = np.maximum(dot(toward, up), 0.0) * np.maximum(-dot(toward, facing), 0.0)
+    weight = ratio(weight, square * square)
     ends = (kernel.caster.start(x, n).reshape(-1, 3) for x, n in ((start, up), (stop, facing)))
-    return (~kernel.caster.blocked(*ends)).reshape(-1, rays).sum(axis=1).astype(float)
+    free = ~kernel.caster.blocked(*ends).reshape(-1, rays)
+    return np.einsum("kn->k", weight * free), np.einsum("kn->k", weight)
 
 
 def light_patches(kernel, sides, samples, seed):

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 PRESETS = {"draft": 0.10, "good": 0.02, "fine": 0.005}  # relative errors
 
+SCHEDULES = ("dynamic", "paper")
 GATHER_RAYS = ((0.08, 8), (0.04, 16), (0.015, 48), (0.0075, 128), (0.0, 384))  # from this error up, so many
 
 

@@ -339,7 +339,56 @@ def hall():
     add_camera((0.7, 2.9, 2.3), (11.0, 6.6, 1.0), lens=18.0)
 
 
-SCENES = {"cornell_box": cornell_box, "sunlit_room": sunlit_room, "hall": hall}
+def paper_room(n, blocks, lamps, shelf):
+    """A room like those of the paper: n x n patches a wall, blocks [(low, high, columns, rows)], square lamps of k x k."""
+    gray, warm, blue = (
+        material("gray", (0.6, 0.6, 0.6)),
+        material("warm", (0.7, 0.45, 0.3)),
+        material("blue", (0.3, 0.4, 0.7)),
+    )
+    lamp = material("lamp", emission=(1.0, 1.0, 1.0), strength=10.0)
+    w, d, h = 4.0, 4.0, 3.0
+    corners = [
+        ((0, 0, 0), (w, 0, 0), (w, d, 0), (0, d, 0)), ((0, d, h), (w, d, h), (w, 0, h), (0, 0, h)),
+        ((0, d, 0), (w, d, 0), (w, d, h), (0, d, h)), ((w, 0, 0), (0, 0, 0), (0, 0, h), (w, 0, h)),
+        ((0, 0, 0), (0, d, 0), (0, d, h), (0, 0, h)), ((w, d, 0), (w, 0, 0), (w, 0, h), (w, d, h)),
+    ]  # fmt: skip
+    paints = (gray, gray, gray, gray, warm, blue)
+    add_mesh("room", [(*quad_grid(c, n, n), paint) for c, paint in zip(corners, paints)])
+    for number, (low, high, columns, rows) in enumerate(blocks):
+        sides = box_parts(low, high, 99.0, gray, "xXyYZ")
+        outline = [vertices for vertices, _, _ in sides]
+        add_mesh(f"block {number + 1}", [(*quad_grid(v[[0, 1, 3, 2]], columns, rows), gray) for v in outline])
+    for number, (x, y, size, k) in enumerate(lamps):
+        s = size / 2
+        corners = ((x - s, y + s, h - 0.3), (x + s, y + s, h - 0.3), (x + s, y - s, h - 0.3), (x - s, y - s, h - 0.3))
+        add_mesh(f"lamp {number + 1}", [(*quad_grid(corners, k, k), lamp)])
+    if shelf:
+        add_mesh("shelf", [(*quad_grid(((0.02, 1, 1.5), (0.5, 1, 1.5), (0.5, 3, 1.5), (0.02, 3, 1.5)), *shelf), warm)])
+    add_camera((3.6, 0.4, 1.9), (1.6, 2.4, 1.0), lens=20.0)
+    assert all(len(o.data.polygons) for o in bpy.data.objects if o.type == "MESH")
+
+
+def paper_973():
+    """973 patches, as many as the paper's data1 has; bake it with --max-patch mesh."""
+    new_scene("Paper 973")
+    paper_room(12, [((1.2, 1.6, 0.0), (2.2, 2.6, 1.1), 4, 5)], [(2.0, 2.0, 1.0, 3)], None)
+
+
+def paper_1608():
+    """1608 patches, as many as the paper's data2 has; bake it with --max-patch mesh."""
+    new_scene("Paper 1608")
+    blocks = [((0.8, 2.2, 0.0), (1.7, 3.1, 1.6), 6, 6), ((2.3, 1.0, 0.0), (3.2, 1.9, 0.8), 6, 6)]
+    paper_room(14, blocks, [(x, y, 0.5, 3) for x in (1.2, 2.8) for y in (1.2, 2.8)], (6, 6))
+
+
+SCENES = {
+    "cornell_box": cornell_box,
+    "sunlit_room": sunlit_room,
+    "hall": hall,
+    "paper_973": paper_973,
+    "paper_1608": paper_1608,
+}
 
 
 def main(names):
@@ -348,7 +397,8 @@ def main(names):
         count = sum(len(o.data.vertices) for o in bpy.data.objects if o.type == "MESH")
         objects = sum(o.type == "MESH" for o in bpy.data.objects)
         bpy.ops.wm.save_as_mainfile(filepath=str(HERE / f"{name}.blend"), compress=False, check_existing=False)
-        print(f"{name}: {objects} objects, {count} vertices")
+        polygons = sum(len(o.data.polygons) for o in bpy.data.objects if o.type == "MESH")
+        print(f"{name}: {objects} objects, {count} vertices, {polygons} polygons")
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ CORE = sorted((ROOT / "core").glob("*.py"))
 # Later modules may import earlier ones, never the other way round.
 CHAIN = [
     "vectors", "sampling", "polygons", "records", "settings", "scene", "raycast", "patches", "surfaces", "points", "lights",
-    "kernel", "rows", "contacts", "gather", "tasks", "cells", "cell", "effects", "host", "paper", "layers", "bake", "report", "picture",
+    "kernel", "rows", "contacts", "gather", "tasks", "cells", "cell", "replay", "effects", "host", "paper", "layers", "bake", "experiment", "report", "picture",
 ]  # fmt: skip
 
 # Functions whose last bit depends on the build of numpy (BLAS, SIMD), with what to use instead.

@@ -52,13 +52,10 @@ PAIRS = {
 
 def sent(cells, shooter, *others):
     """Share of a shooter's light (front side) that arrives on each of other polygons, by a row of many rays."""
-    meshes = [Mesh.of_polygons(str(k), p, [list(range(len(p)))]) for k, p in enumerate((shooter, *others))]
-    scene = join_meshes(meshes)
-    patches = make_patches(scene)
-    cells.start(scene_arrays(scene, patches, make_sources(scene)[0]))
+    start_pair(cells, shooter, *others)
     (result,) = cells.take([cells.submit("rows", sides=np.array([0]), rays=RAYS, seed=3)])
     hits = result["hits"][0]
-    return [float((hits >> 1 == k).mean()) for k in range(1, len(meshes))]
+    return [float((hits >> 1 == k).mean()) for k in range(1, len(others) + 1)]
 
 
 @pytest.mark.parametrize("name", PAIRS)
@@ -67,6 +64,34 @@ def test_row_of_a_pair(cells, name):
     shooter, receiver, expected = PAIRS[name]
     (found,) = sent(cells, shooter, receiver)
     assert abs(found - expected) < 4 * np.sqrt(expected * (1 - expected) / RAYS)
+
+
+@pytest.mark.parametrize("name", PAIRS)
+def test_analytic_row_of_a_pair(cells, name):
+    """Lambert's factors at Gauss points: to 1 %; disks, which are polygons of many elements, to 2 %."""
+    shooter, receiver, expected = PAIRS[name]
+    scene, patches = start_pair(cells, shooter, receiver)
+    (row,) = cells.take([cells.submit("analytic", sides=np.array([0]), seed=0)])
+    assert set(row["target"] >> 1) == {1}
+    assert row["share"].sum() == pytest.approx(expected, rel=0.02 if "disk" in name else 0.01)
+
+
+def test_analytic_row_with_an_obstruction(cells):
+    """The visible share is sampled: 16 rays from the shooter to the half hidden square."""
+    n = 6
+    top = [raised(SQUARE / n + (i / n, j / n, 0), 1) for i in range(n) for j in range(n)]
+    plate = np.array([(0.25, 0.25, 0.75), (0.75, 0.25, 0.75), (0.75, 0.75, 0.75), (0.25, 0.75, 0.75)])
+    start_pair(cells, SQUARE, plate, *top)
+    (row,) = cells.take([cells.submit("analytic", sides=np.array([0]), seed=0)])
+    assert row["share"][row["target"] >> 1 > 1].sum() == pytest.approx(0.115620602132, rel=0.03)
+
+
+def start_pair(cells, *polygons):
+    """A scene of one patch per polygon, and its patches; the cells hold it."""
+    scene = join_meshes([Mesh.of_polygons(str(k), p, [list(range(len(p)))]) for k, p in enumerate(polygons)])
+    patches = make_patches(scene)
+    cells.start(scene_arrays(scene, patches, make_sources(scene)[0]))
+    return scene, patches
 
 
 def test_row_with_an_obstruction(cells):

@@ -1,0 +1,172 @@
+"""The paper's experiment: the time of a bake against the number of cells, measured as far as the machine goes and
+replayed beyond.
+
+The replay runs the same schedule code against task times measured on one cell; it is labeled as such everywhere.
+Seconds are those of transport and gather together, with the cells running.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from math import log
+
+import numpy as np
+
+from .bake import bake
+from .cells import LocalCells, make_cells
+from .host import make_rows, submit_rows
+from .kernel import scene_arrays
+from .lights import make_sources
+from .patches import make_patches
+from .replay import CAUSES, ReplayCells, TaskTimes, measure_messages
+from .surfaces import make_surfaces
+
+LEVELS = (0.1, 0.01, 0.001)  # of the bound, to which rounds and shots are counted
+
+
+@dataclass(frozen=True)
+class Run:
+    """One bake of the experiment. kind: "measured" or "replayed". busy: (cells,) seconds each cell worked; waiting:
+    (cells,) the rest. lost: {cause: seconds, mean over the cells} of a replay, None for a measured run.
+    reached: {level: (rounds, shots)} until the bound was below a level."""
+
+    schedule: str
+    cells: int
+    kind: str
+    seconds: float
+    rays: int
+    rounds: int
+    shots: int
+    busy: tuple
+    waiting: tuple
+    lost: dict | None
+    reached: dict
+
+
+def experiment(scene, settings, schedules, counts, replays):
+    """Bakes of a scene by `schedules` on `counts` cells, measured, and on `replays` cells, replayed: a generator that
+    yields the Runs as they are done."""
+    with make_cells(1) as cells:
+        message = measure_messages(cells)
+    for schedule in schedules:
+        chosen = replace(settings, schedule=schedule, rows="analytic" if schedule == "paper" else settings.rows)
+        for count in counts:
+            yield measured(scene, chosen, count)
+        times = TaskTimes()
+        for count in replays:
+            yield replayed(scene, chosen, count, times, message)
+
+
+def measured(scene, settings, count, cells=None):
+    """The Run of a bake on `count` process cells, after a first one that warms them up."""
+    made = cells or make_cells(count)
+    try:
+        if settings.schedule == "dynamic":
+            _drive(bake(scene, settings, made), lambda: None)
+        before = []
+        result = _drive(bake(scene, settings, made), lambda: before.append(dict(made.usage.busy)))
+        busy = [seconds - before[0].get(cell, 0.0) for cell, seconds in made.usage.busy.items()]
+    finally:
+        if cells is None:
+            made.stop()
+    return _run(result, count, "measured", result.seconds["transport"] + result.seconds["gather"], busy, None)
+
+
+def replayed(scene, settings, count, times, message):
+    """The Run of a bake on `count` cells that are not there. times: TaskTimes, shared by replays of one scene."""
+    cells = ReplayCells(count, times, message)
+    result = _drive(bake(scene, settings, cells), cells.open_books)
+    seconds = cells.close_books()
+    return _run(result, count, "replayed", seconds, cells.busy, {c: cells.lost[c] / count for c in CAUSES})
+
+
+def shots_per_decade(scene, settings):
+    """Shots that plain shooting needs for each decade of the error, by law and not by trial: N ln 10 / (2 ln (1 / l)), N
+    the patch sides that light reaches and that reflect it, l the spectral radius of reflectance times form factors
+    (the convergence of Southwell's iteration), found by power iteration over ray rows."""
+    edge = None if settings.patch_edge is None else settings.patch_edge * scene.diagonal
+    patches = make_patches(scene, edge)
+    sources, sampled = make_sources(scene)
+    surfaces = make_surfaces(scene, patches, sampled)
+    cells = LocalCells()
+    cells.start(scene_arrays(scene, patches, sources))
+    sides = np.arange(2 * len(patches))
+    ray_settings = replace(settings, rows="rays", row_rays=256)
+    rows = make_rows(len(sides), ray_settings)
+    rows.add(sides, cells.take(submit_rows(cells, sides, ray_settings)))
+    light, growth = np.ones((len(surfaces.found), len(sides))), 0.0
+    for _ in range(60):
+        arriving = rows.gather(surfaces.send(light), np.zeros(len(light)))
+        growth = arriving.sum() / light.sum()
+        light = arriving / growth if growth > 0 else light
+    lit = (light.sum(axis=0) > 0) & (surfaces.returned.sum(axis=0) > 0)
+    return lit.sum() * log(10) / (2 * log(1 / growth)) if 0 < growth < 1 else None
+
+
+def table(runs):
+    """The Runs as lines of text."""
+    lines = [
+        f"{'schedule':9}{'cells':>6} {'kind':9}{'seconds':>9}{'speed-up':>9}{'busy':>7}{'rounds':>8}{'shots':>9}  lost to"
+    ]
+    alone = {r.schedule: r.seconds for r in reversed(runs) if r.cells == 1}
+    for r in runs:
+        speed = alone[r.schedule] / r.seconds if r.schedule in alone else float("nan")
+        lost = ", ".join(f"{c} {100 * s / r.seconds:.0f} %" for c, s in (r.lost or {}).items() if s > 0.005 * r.seconds)
+        share = 100 * sum(r.busy) / (r.cells * r.seconds)
+        lines.append(
+            f"{r.schedule:9}{r.cells:6} {r.kind:9}{r.seconds:9.2f}{speed:9.2f}{share:6.0f}%{r.rounds:8}{r.shots:9}  {lost}"
+        )
+    return "\n".join(lines)
+
+
+def decades(runs, decade):
+    """Lines that say after how many rounds and shots the bound was below each of LEVELS, on one cell, beside the law.
+
+    decade: shots_per_decade, or None.
+    """
+    for schedule in dict.fromkeys(r.schedule for r in runs):
+        run = next((r for r in runs if r.schedule == schedule and r.cells == 1), None)
+        if run is None:
+            continue
+        parts = [f"{100 * float(k):g} % after {v[0]} rounds, {v[1]} shots" for k, v in run.reached.items() if v]
+        yield f"{schedule}, bound below " + (", ".join(parts) or "none of the levels")
+    if decade:
+        yield f"plain shooting needs {decade:.0f} shots a decade by law"
+
+
+def as_dictionary(scene, runs, decade):
+    """The experiment as one document for JSON."""
+    return {"scene": scene, "shots_per_decade_by_law": decade, "runs": [asdict(r) for r in runs]}
+
+
+def _drive(generator, at_transport):
+    """Run a bake, and call `at_transport` when its patches are made."""
+    while True:
+        try:
+            progress = next(generator)
+        except StopIteration as end:
+            return end.value
+        if progress.phase == "patches":
+            at_transport()
+
+
+def _run(result, count, kind, seconds, busy, lost):
+    busy = [*busy, *[0.0] * (count - len(busy))]
+    rounds = result.solution.rounds
+    reached = {}
+    for level in LEVELS:
+        found = next((r for r in rounds if r.bound <= level), None)
+        reached[str(level)] = (found.number, found.shots) if found else None
+    return Run(
+        schedule=result.settings.schedule,
+        cells=count,
+        kind=kind,
+        seconds=float(seconds),
+        rays=result.rays,
+        rounds=len(rounds),
+        shots=rounds[-1].shots if rounds else 0,
+        busy=tuple(float(b) for b in busy),
+        waiting=tuple(float(max(seconds - b, 0.0)) for b in busy),
+        lost=lost,
+        reached=reached,
+    )
