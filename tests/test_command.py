@@ -18,7 +18,8 @@ import pytest
 bpy = pytest.importorskip("bpy")
 from PIL import Image  # noqa: E402
 
-from cell_radiosity.addon.command import main, percent  # noqa: E402
+from cell_radiosity.addon.arguments import percent  # noqa: E402
+from cell_radiosity.addon.command import main  # noqa: E402
 from cell_radiosity.core.report import SCHEMA  # noqa: E402
 
 from blender_scenes import colors, empty, lamp, plane  # noqa: E402

@@ -70,7 +70,7 @@ def test_row_of_a_pair(cells, name):
 def test_analytic_row_of_a_pair(cells, name):
     """Lambert's factors at Gauss points: to 1 %; disks, which are polygons of many elements, to 2 %."""
     shooter, receiver, expected = PAIRS[name]
-    scene, patches = start_pair(cells, shooter, receiver)
+    _scene, _patches = start_pair(cells, shooter, receiver)
     (row,) = cells.take([cells.submit("analytic", sides=np.array([0]), seed=0)])
     assert set(row["target"] >> 1) == {1}
     assert row["share"].sum() == pytest.approx(expected, rel=0.02 if "disk" in name else 0.01)

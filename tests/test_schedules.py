@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import resource
@@ -10,11 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scenes import Material, Settings, bake, box, join_meshes, run, sheet
 
 from cell_radiosity.core.cells import LocalCells, make_cells
 from cell_radiosity.core.experiment import experiment, shots_per_decade, table
 from cell_radiosity.core.replay import MessageCost, ReplayCells, SleepingCells, TaskTimes, measure_messages
+
+from scenes import Material, Settings, bake, box, join_meshes, run, sheet
 
 SETTINGS = Settings(patch_edge=None, error=0.05, row_rays=256, gather_rays=32)
 
@@ -75,7 +77,7 @@ def test_paper_shoots_as_many_patches_a_round_as_there_are_cells(cells, solved):
 
 def test_unshot_power_never_grows(solved):
     unshot = [r.unshot for r in solved["paper", "rays"].solution.rounds]
-    assert all(b <= a * (1 + 1e-12) for a, b in zip(unshot, unshot[1:]))
+    assert all(b <= a * (1 + 1e-12) for a, b in itertools.pairwise(unshot))
 
 
 def test_law_of_plain_shooting(cells):
@@ -119,7 +121,8 @@ def test_a_cell_that_runs_out_of_memory_is_replaced():
     with make_cells(2) as cells:
         run(bake(scene, settings, cells))
         limited = cells._cells[0].process.pid
-        used = int(open(f"/proc/{limited}/statm").read().split()[0]) * resource.getpagesize()
+        with open(f"/proc/{limited}/statm") as statm:
+            used = int(statm.read().split()[0]) * resource.getpagesize()
         resource.prlimit(limited, resource.RLIMIT_AS, (used, used))
         result = run(bake(scene, replace(settings, seed=0), cells))
         assert result.cells["restarted"] >= 1

@@ -1,0 +1,109 @@
+"""What the commands' options mean: their types, and the options that all commands share."""
+
+from __future__ import annotations
+
+import argparse
+
+from ..core.layers import LAYERS
+from ..core.settings import PRESETS
+from .job import Options
+
+LATER = {
+    "--time": "a time limit", "--target": "lightmaps", "--mesh": "subdivision", "--per-object": "an error per object",
+    "--state": "state files", "--groups": "light groups", "--force-effects": "forced effects",
+    "--texels-per-meter": "lightmaps", "--size": "lightmaps", "--uv": "lightmaps", "--max-edge": "subdivision",
+    "--min-edge": "subdivision", "--contrast": "subdivision", "--vertices": "subdivision", "--in-place": "subdivision",
+}  # fmt: skip
+
+
+def percent(text):
+    """A relative error from a command line: "2%" and "2" are 0.02; below 0.05 the sign must be there."""
+    try:
+        value = float(text.rstrip("%"))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a percentage, like 2%") from None
+    if not 0 < value <= 100:
+        raise argparse.ArgumentTypeError(f"{text!r} is not between 0 and 100 %")
+    if value < 0.05 and not text.endswith("%"):
+        raise argparse.ArgumentTypeError(f"{text} means {text} %: write {text}% if that is what you want")
+    return value / 100
+
+
+def layers(text):
+    """Names of layers from a list with commas."""
+    names = tuple(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
+    unknown = [name for name in names if name not in LAYERS]
+    if unknown or not names:
+        raise argparse.ArgumentTypeError(f"{', '.join(unknown) or 'nothing'}: layers are {', '.join(LAYERS)}")
+    return names
+
+
+def patch_edge(text):
+    """A length in meters, or "mesh"."""
+    if text == "mesh":
+        return text
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not value > 0:
+        raise argparse.ArgumentTypeError(f"{text!r} is neither a length in meters nor 'mesh'")
+    return value
+
+
+def count(text):
+    """A number of cells, 1 or more."""
+    if not text.isdigit() or not int(text):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of cells")
+    return int(text)
+
+
+def memory(text):
+    """An amount of memory [bytes]: "500M", "2G"."""
+    units = {"K": 1e3, "M": 1e6, "G": 1e9, "T": 1e12}
+    try:
+        value = float(text[:-1]) * units[text[-1].upper()] if text[-1:].upper() in units else float(text)
+    except ValueError:
+        value = 0.0
+    if not value >= 1e7:
+        raise argparse.ArgumentTypeError(f"{text!r} is not an amount of memory of 10M or more, like 2G")
+    return value
+
+
+class _NotYet(argparse.Action):
+    def __call__(self, parser, namespace, values, option_string=None):
+        parser.error(f"{option_string}: {LATER[option_string]} cannot be asked for in this version")
+
+
+def add_scene_options(parser):
+    """Options about the scene and the accuracy, which all commands share."""
+    accuracy = parser.add_mutually_exclusive_group()
+    accuracy.add_argument("--error", type=percent, metavar="2%", help="relative error to reach")
+    accuracy.add_argument("--preset", choices=PRESETS, help="10, 2 or 0.5 %% error (default: good)")
+    parser.add_argument(
+        "--objects", action="append", default=[], metavar="NAME", help="write to this one (or glob) only"
+    )
+    parser.add_argument("--side", choices=("front", "back", "lit"), default="front", help="the side of faces to bake")
+    parser.add_argument("--max-patch", type=patch_edge, metavar="M", help="longest edge of a patch [m], or 'mesh'")
+    parser.add_argument("--rows", choices=("rays", "analytic"), help="estimator of form factors (default: rays)")
+    parser.add_argument("--memory", type=memory, default=0.0, metavar="2G", help="memory that may be used")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="of all samples")
+    parser.add_argument("--frame", type=int, metavar="N", help="take this frame")
+    parser.add_argument("--scene", metavar="NAME", help="take this scene of the file")
+    parser.add_argument("--quiet", action="store_true", help="no progress")
+    for option in LATER:
+        parser.add_argument(option, nargs="*", action=_NotYet, help=argparse.SUPPRESS)
+
+
+def make_options(arguments, **others):
+    """The Options of a command line."""
+    return Options(
+        error=arguments.error or PRESETS[arguments.preset or "good"],
+        objects=tuple(arguments.objects),
+        side=arguments.side,
+        max_patch=arguments.max_patch,
+        rows=arguments.rows,
+        memory=arguments.memory,
+        seed=arguments.seed,
+        **others,
+    )

@@ -1,0 +1,100 @@
+"""`radiosity bake`: bake scenes and save the lit copies."""
+
+from __future__ import annotations
+
+import os
+import sys
+
+import bpy
+
+from ..core.layers import LAYERS
+from ..core.report import write_json
+from ..core.settings import SCHEDULES
+from .arguments import add_scene_options, count, layers, make_options
+from .errors import Refused
+from .files import check_writable, context_of, open_file, place_for, save_file
+from .job import Job
+from .progress import Bar, summary
+
+
+def add(commands):
+    """Add the command's parser to `commands`."""
+    bake = commands.add_parser("bake", help="bake scenes", description="Bake scenes and save the lit copies.")
+    bake.set_defaults(run=run_bake)
+    bake.add_argument("scenes", nargs="*", metavar="SCENE.blend", help="files to bake (inside Blender: the open one)")
+    bake.add_argument(
+        "-o", "--output", metavar="OUT.blend", help="default: SCENE_radiosity.blend; a folder for several"
+    )
+    bake.add_argument("--layers", type=layers, default=("Radiosity", "Lighting"), metavar="A,B", help=", ".join(LAYERS))
+    bake.add_argument("--domain", choices=("corner", "point"), default="corner", help="where colors are kept")
+    bake.add_argument("--shared", choices=("copy", "skip"), default="copy", help="what to do with shared meshes")
+    bake.add_argument("--cells", type=count, default=0, metavar="N", help="processes (default: one per core)")
+    bake.add_argument("--schedule", choices=SCHEDULES, default="dynamic", help="how light is shot (default: dynamic)")
+    bake.add_argument("--strict", action="store_true", help="fail if anything is wrong with the scene's data")
+    bake.add_argument("--report", metavar="R.json", help="write a report; a folder for several scenes")
+    bake.add_argument("--picture", metavar="P.png", help="write a picture of the result; a folder for several scenes")
+    add_scene_options(bake)
+
+
+def run_bake(arguments):
+    """Bake every scene of the command line; returns the exit code."""
+    scenes = arguments.scenes or [None]
+    if scenes == [None] and not bpy.data.filepath:
+        print("radiosity: no scene: name a .blend file", file=sys.stderr)
+        return 2
+    failed = 0
+    for path in scenes:
+        try:
+            _bake_file(path, arguments, several=len(scenes) > 1)
+        except (Refused, OSError) as problem:
+            failed += 1
+            print(f"radiosity: {path or bpy.data.filepath}: {problem}", file=sys.stderr, flush=True)
+    return 1 if failed else 0
+
+
+def _bake_file(path, arguments, several):
+    """Bake one file (None: the open one). Raises Refused or OSError with one clear line."""
+    source = os.path.abspath(path or bpy.data.filepath)
+    output = (
+        place_for(arguments.output, source, "_radiosity.blend", several)
+        or source[: -len(".blend")] + "_radiosity.blend"
+    )
+    report = place_for(arguments.report, source, ".json", several)
+    picture = place_for(arguments.picture, source, ".png", several)
+    for place in (output, report, picture):
+        check_writable(place)
+    if path:
+        open_file(source)
+    written_by = tuple(bpy.data.version)
+    context = context_of(arguments)
+    options = make_options(
+        arguments,
+        layers=arguments.layers,
+        domain=arguments.domain.upper(),
+        cells=arguments.cells,
+        shared=arguments.shared,
+        schedule=arguments.schedule,
+        strict=arguments.strict,
+    )
+    job = Job(context, options)
+    try:
+        with Bar(quiet=arguments.quiet) as bar:
+            for progress in job.bake():
+                bar.show(progress)
+        job.write(context)
+        save_file(output, source)
+        if picture:
+            from .picture import save_picture
+
+            save_picture(context, job.result, picture)
+        if report:
+            write_json(job.report(source), report)
+    finally:
+        job.close()
+    if not arguments.quiet:
+        for finding in job.result.survey.health:
+            print(f"{finding.object}: {finding.finding}; {finding.action}", flush=True)
+        if bpy.app.version >= (5, 0, 0) > written_by:
+            new = ".".join(map(str, bpy.app.version[:2]))
+            print(f"{output} has the file format of Blender {new}: Blenders before 4.5 cannot open it", flush=True)
+        print(f"{os.path.basename(source)}: {summary(job.result)}; saved {output}", flush=True)

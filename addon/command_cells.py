@@ -1,0 +1,88 @@
+"""`radiosity cells`: the paper's experiment, time against the number of cells."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+
+import bpy
+
+from ..core.experiment import as_dictionary, decades, experiment, shots_per_decade, table
+from ..core.report import write_json
+from ..core.settings import SCHEDULES
+from .arguments import add_scene_options, count, make_options
+from .errors import Refused, Usage
+from .files import check_writable, context_of, open_file
+from .job import default_cells, wanted_by
+from .plots import plot_cells, pyplot
+from .read_scene import read_scene
+
+
+def add(commands):
+    """Add the command's parser to `commands`."""
+    cells = commands.add_parser(
+        "cells", help="time against cells",
+        description="The paper's experiment: time against the number of cells, measured on this machine's cores and "
+        "replayed beyond them.",
+    )  # fmt: skip
+    cells.set_defaults(run=run_cells)
+    cells.add_argument("scene_file", nargs="?", metavar="SCENE.blend", help="the file (inside Blender: the open one)")
+    cells.add_argument("--counts", type=_counts, metavar="1,2,4", help="cells to measure (default: 1 up to the cores)")
+    cells.add_argument("--schedule", type=_schedules, default=SCHEDULES, metavar="paper,dynamic", help="default: both")
+    cells.add_argument("--report", metavar="R.json", help="write all figures")
+    cells.add_argument("--plot", metavar="P.png", help="draw speed-up and losses")
+    add_scene_options(cells)
+
+
+def run_cells(arguments):
+    """Measure and replay a scene on many cells; returns the exit code."""
+    path = arguments.scene_file
+    source = path or bpy.data.filepath
+    try:
+        if not source:
+            raise Usage("no scene: name a .blend file")
+        if arguments.plot:
+            pyplot()
+        for place in (arguments.report, arguments.plot):
+            check_writable(place and os.path.abspath(place))
+        if path:
+            open_file(os.path.abspath(path))
+        scene, _ = read_scene(context_of(arguments), wanted_by(arguments.objects))
+        settings = make_options(arguments).settings(scene.diagonal)
+        cores = default_cells()
+        counts = arguments.counts or tuple(n for n in (1, 2, 4, 8, 16, 32, 64) if n < cores) + (cores,)
+        replays = tuple(sorted({*counts, *(2**k for k in range(11))}))
+        runs = []
+        for run in experiment(scene, settings, arguments.schedule, counts, replays):
+            runs.append(run)
+            if not arguments.quiet:
+                print(
+                    f"{run.schedule}, {run.cells} cells, {run.kind}: {run.seconds:.2f} s", file=sys.stderr, flush=True
+                )
+        print(table(runs), flush=True)
+        decade = shots_per_decade(scene, settings)
+        for line in decades(runs, decade):
+            print(line, flush=True)
+        if arguments.report:
+            write_json(as_dictionary(os.path.abspath(source), runs, decade), os.path.abspath(arguments.report))
+        if arguments.plot:
+            plot_cells(runs, os.path.abspath(arguments.plot), os.path.basename(source))
+    except Usage as problem:
+        print(f"radiosity: {problem}", file=sys.stderr)
+        return 2
+    except (Refused, OSError) as problem:
+        print(f"radiosity: {source}: {problem}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def _counts(text):
+    return tuple(dict.fromkeys(count(part) for part in text.split(",")))
+
+
+def _schedules(text):
+    names = tuple(dict.fromkeys(text.split(",")))
+    if unknown := [name for name in names if name not in SCHEDULES]:
+        raise argparse.ArgumentTypeError(f"{', '.join(unknown)}: schedules are {', '.join(SCHEDULES)}")
+    return names
