@@ -5,16 +5,18 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
+from math import inf
 from time import perf_counter
 
-from ..core.bake import bake
+from ..core.bake import bake, run
 from ..core.cells import make_cells
+from ..core.layers import layer_colors
 from ..core.report import make_report
 from ..core.settings import Settings
 from .errors import Refused
-from .read_scene import read_scene
+from .read_scene import reading_scene
 from .version import version
-from .write_result import check_names, remove_copies, write_result
+from .write_result import check_names, originals_shown, writing_result
 
 
 @dataclass(frozen=True)
@@ -85,29 +87,35 @@ def wanted_by(patterns):
 class Job:
     """A bake of a context's scene. Make it, drive `bake()` to its end, then call `write()`; `report()` tells all.
 
-    Raises Refused, before any work, if there is nothing to bake or no place for the result.
+    Raises Refused, before any work, if there is nothing to bake or no place for the result. The window makes one with
+    `read=False` and takes the same way in steps: `reading()`, `bake()` in a thread, `writing()`.
     """
 
-    def __init__(self, context, options, cells=None, start_seconds=0.0):
+    def __init__(self, context, options, cells=None, start_seconds=0.0, read=True):
         self.options = options
         self._owned = cells is None
         begun = perf_counter()
         self.cells = cells or make_cells(options.cells or default_cells())
         self._start = start_seconds + perf_counter() - begun
-        try:
-            begun = perf_counter()
-            self._read(context)
-            self._read_seconds = perf_counter() - begun
-        except BaseException:
-            self.close()
-            raise
-        self.result = None
-        self._write_seconds = 0.0
+        self._read_seconds = self._write_seconds = 0.0
+        self.scene = self.result = self.colors = None
+        self.targets, self.changed = (), ()
+        if read:
+            try:
+                run(self.reading(context))
+            except BaseException:
+                self.close()
+                raise
 
-    def _read(self, context):
-        remove_copies(context.scene)
+    def reading(self, context, step=inf):
+        """Read the scene: a generator that yields every `step` seconds or so, between objects."""
+        begun = perf_counter()
         patterns = self.options.objects
-        self.scene, self.targets = read_scene(context, wanted_by(patterns), self.options.shared)
+        with originals_shown(context.scene):
+            context.view_layer.update()
+            self.scene, self.targets = yield from reading_scene(
+                context, wanted_by(patterns), self.options.shared, step=step
+            )
         if not len(self.scene.triangles):
             raise Refused("there is no mesh to bake: no visible object with faces")
         if not self.targets:
@@ -117,6 +125,7 @@ class Job:
         if not (self.scene.lamps or emits or max(self.scene.world.radiance) > 0):
             raise Refused("nothing gives light: add a lamp, an emitting material or a world color")
         check_names(self.targets, self.options.layers)
+        self._read_seconds = perf_counter() - begun
 
     def bake(self):
         """The core's bake: yields Progress."""
@@ -125,11 +134,17 @@ class Job:
         if self.options.strict and findings:
             first = findings[0]
             raise Refused(f"{first.object}: {first.finding} ({len(findings)} findings; --strict)")
+        self.colors = {layer: layer_colors(self.result, layer) for layer in self.options.layers}
 
     def write(self, context):
         """Write the result into the file's meshes."""
+        run(self.writing(context))
+
+    def writing(self, context):
+        """`write` in steps: a generator that yields before each object. `changed` then holds Findings about objects that
+        are no longer what was read."""
         begun = perf_counter()
-        write_result(context, self.result, self.targets, self.options.layers, self.options.domain)
+        self.changed = yield from writing_result(context, self.colors, self.targets, self.options.domain)
         self._write_seconds = perf_counter() - begun
 
     def report(self, scene):

@@ -8,11 +8,14 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, replace
+from math import inf
+from time import perf_counter
 
 import bpy
 import numpy as np
 from mathutils import Matrix
 
+from ..core.bake import run
 from ..core.effects import Finding
 from ..core.scene import Mesh, World, join_meshes
 from ..core.surfaces import Texture
@@ -45,28 +48,27 @@ def read_scene(context, wanted=None, shared="copy", spacing=1 / 200):
     wanted: function of an object's name, whether its light is asked for; None asks for all. What is asked for never
     limits what casts light. shared: "skip" writes nothing to meshes that several objects share. spacing: of samples on surfaces that only Cycles understands, in scene diagonals.
     """
+    return run(reading_scene(context, wanted, shared, spacing))
+
+
+def reading_scene(context, wanted=None, shared="copy", spacing=1 / 200, step=inf):
+    """`read_scene` in steps of some `step` seconds: a generator that yields between objects. The scene must not change
+    meanwhile."""
     depsgraph = context.evaluated_depsgraph_get()
     scene = depsgraph.scene
     rendered = _rendered(scene)
     reader = _Reader()
-    meshes, lamps, placed = [], [], []
-    for instance in depsgraph.object_instances:
-        object = instance.object
-        original = object.original
-        source = instance.parent.original if instance.is_instance and instance.parent else original
-        if original.hide_render or source.name not in rendered or is_made(original) or not instance.show_self:
-            continue
-        matrix = np.array(instance.matrix_world)
-        if object.type == "LIGHT":
-            lamp = read_lamp(object.data, matrix, original.name, reader.ignored)
-            lamps.append(lamp) if lamp else None
-        elif object.type in SOLID:
-            shape = reader.shape(object)
-            if shape is None:
-                continue
-            meshes.append(shape.placed(original.name, matrix))
-            own = not instance.is_instance and original.type == "MESH" and (wanted is None or wanted(original.name))
-            placed.append(_Placed(original, shape, matrix, own, shape.corner_order(mirrored(matrix))))
+    lamps, placed = [], []
+    # Blender's list of instances does not outlive a step: it is walked anew, past the shapes that are known by then.
+    while not _place(depsgraph, rendered, reader, wanted, lamps, placed, perf_counter() + step):
+        yield
+        depsgraph = context.evaluated_depsgraph_get()
+    meshes, begun = [], perf_counter()
+    for p in placed:
+        meshes.append(p.shape.placed(p.original.name, p.matrix))
+        if perf_counter() - begun > step:
+            yield
+            begun = perf_counter()
 
     corner = np.concatenate([[0], np.cumsum([len(m.corner_vertex) for m in meshes])]).astype(int)
     users = Counter(o.data for o in bpy.data.objects if o.type == "MESH") if shared == "skip" else Counter()
@@ -80,8 +82,37 @@ def read_scene(context, wanted=None, shared="copy", spacing=1 / 200):
         meshes, reader.materials, lamps, World(read_world(scene.world, reader.ignored)), written, scene.name,
         textures=tuple(reader.textures), health=tuple(reader.health + _hidden(scene, depsgraph, rendered)),
     )  # fmt: skip
-    readings = _read_others(context, depsgraph, reader, joined, placed, corner, spacing)
+    yield
+    readings = _read_others(context, context.evaluated_depsgraph_get(), reader, joined, placed, corner, spacing)
     return replace(joined, readings=readings, ignored=tuple(dict.fromkeys(reader.ignored))), targets
+
+
+def _place(depsgraph, rendered, reader, wanted, lamps, placed, deadline):
+    """Fill `lamps` and `placed` with all that takes part; False if after the deadline there are shapes left to read."""
+    lamps.clear()
+    placed.clear()
+    news = 0
+    for instance in depsgraph.object_instances:
+        object = instance.object
+        original = object.original
+        source = instance.parent.original if instance.is_instance and instance.parent else original
+        if original.hide_render or source.name not in rendered or is_made(original) or not instance.show_self:
+            continue
+        matrix = np.array(instance.matrix_world)
+        if object.type == "LIGHT":
+            lamp = read_lamp(object.data, matrix, original.name, reader.ignored)
+            lamps.append(lamp) if lamp else None
+        elif object.type in SOLID:
+            if not reader.knows(object):
+                if news and perf_counter() > deadline:
+                    return False
+                news += 1
+            shape = reader.shape(object)
+            if shape is None:
+                continue
+            own = not instance.is_instance and original.type == "MESH" and (wanted is None or wanted(original.name))
+            placed.append(_Placed(original, shape, matrix, own, shape.corner_order(mirrored(matrix))))
+    return True
 
 
 def _read_others(context, depsgraph, reader, scene, placed, corner, spacing):
@@ -194,12 +225,16 @@ class _Reader:
 
     def shape(self, object):
         """The _Shape of an evaluated object; None if it has no polygons. Instances of one mesh share it."""
-        key = (object.type, object.data.as_pointer(), tuple(_slots(object)))
+        key = _shape_key(object)
         if key not in self._shapes:
             mesh = object.to_mesh()
             self._shapes[key] = self._read(object, mesh) if mesh is not None and len(mesh.polygons) else None
             object.to_mesh_clear()
         return self._shapes[key]
+
+    def knows(self, object):
+        """Whether an evaluated object's shape has been read."""
+        return _shape_key(object) in self._shapes
 
     def _read(self, object, mesh):
         triangles = mesh.loop_triangles
@@ -286,6 +321,11 @@ class _Reader:
             self._images[image.name_full] = len(self.textures)
             self.textures.append(Texture(image.name, read_pixels(image)))
         return self._images[image.name_full]
+
+
+def _shape_key(object):
+    """What tells the shapes of evaluated objects apart."""
+    return object.type, object.data.as_pointer(), tuple(_slots(object))
 
 
 def _slots(object):

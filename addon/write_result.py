@@ -1,17 +1,19 @@
 """Write the light of a bake into Blender's meshes, as linear color attributes.
 
-Everything is computed and checked before anything in the file is touched. What a bake makes is marked, and replaced by
-the next bake.
+An object takes its light in its own mesh; if the mesh is shared, in a copy of the mesh; if its modifiers change its
+polygons, in a copy of the object, and the original is hidden. What a bake makes is marked, and replaced by the next.
 """
 
 from __future__ import annotations
 
-from collections import Counter
+import contextlib
 
 import bpy
 import numpy as np
 
-from ..core.layers import layer_colors, vertex_means
+from ..core.bake import run
+from ..core.effects import Finding
+from ..core.layers import vertex_means
 from .errors import Refused
 from .marks import KEY, is_made, made_layers, mark, mark_layers
 
@@ -27,57 +29,106 @@ def check_names(targets, layers):
                 )
 
 
-def write_result(context, bake, targets, layers, domain):
-    """Write layers of a Bake to the objects of targets. domain: "CORNER" or "POINT".
+def write_result(context, colors, targets, domain):
+    """Write layers {name: (C, 3) color of every corner of the scene} to the objects of targets; returns Findings about
+    objects that have changed since they were read, and are left as they are. domain: "CORNER" or "POINT"."""
+    return run(writing_result(context, colors, targets, domain))
 
-    An object whose mesh is shared gets a copy of its own. One whose modifiers change its polygons gets a copy of itself
-    with the result; the original is hidden.
-    """
-    colors = {layer: layer_colors(bake, layer) for layer in layers}
-    users = Counter(o.data.name_full for o in bpy.data.objects if o.type == "MESH")
-    depsgraph = context.evaluated_depsgraph_get()
-    copies = {t.object: _evaluated_mesh(t.object, depsgraph) for t in targets if not t.same}
+
+def writing_result(context, colors, targets, domain):
+    """`write_result` in steps: a generator that yields before each object."""
+    findings = []
     for target in targets:
-        object = bpy.data.objects[target.object]
-        if target.object in copies:
-            mesh = _result_copy(object, copies[target.object]).data
-        else:
-            if users[object.data.name_full] > 1:
-                users[object.data.name_full] -= 1
-                object.data = object.data.copy()
-            mesh = object.data
-        for layer in layers:
-            values = np.empty((target.last - target.first, 3))
-            values[target.corner] = colors[layer][target.first : target.last]
-            if domain == "POINT":
-                values = vertex_means(values, _corner_vertices(mesh), len(mesh.vertices))
-            _write_layer(mesh, layer, domain, values)
-        mark_layers(mesh, layers)
-        mesh.color_attributes.active_color = mesh.color_attributes[layers[0]]
+        yield
+        mesh = _place(context, target)
+        if isinstance(mesh, Finding):
+            findings.append(mesh)
+            continue
+        for layer, values in colors.items():
+            _write_layer(mesh, layer, domain, _of_target(target, values))
+        mark_layers(mesh, colors)
+        mesh.color_attributes.active_color = mesh.color_attributes[next(iter(colors))]
         mesh.update()
+    return tuple(findings)
 
 
-def remove_copies(scene):
-    """Remove the copies that earlier bakes made in a scene, and show their originals again."""
-    for object in [o for o in scene.objects if is_made(o)]:
-        mesh = object.data
-        original = scene.objects.get(object.get(f"{KEY}_of", ""))
-        bpy.data.objects.remove(object)
-        if mesh.users == 0:
-            bpy.data.meshes.remove(mesh)
-        if original:
-            original.hide_render = False
-            original.hide_viewport = False
+@contextlib.contextmanager
+def originals_shown(scene):
+    """While a scene is read, show the objects that are hidden because a copy holds their result."""
+    names = {o.get(f"{KEY}_of") for o in scene.objects if is_made(o)}
+    hidden = [o.name for o in scene.objects if o.name in names]
+    try:
+        _hide(scene, hidden, False)
+        yield
+    finally:
+        _hide(scene, hidden, True)
+
+
+def result_copy(scene, name):
+    """The copy in a scene that holds the result of the object of a name, or None."""
+    return next((o for o in scene.objects if is_made(o) and o.get(f"{KEY}_of") == name), None)
+
+
+def remove_copy(scene, copy):
+    """Remove a copy that a bake made in a scene, and show its original again."""
+    mesh = copy.data
+    _hide(scene, [copy.get(f"{KEY}_of", "")], False)
+    bpy.data.objects.remove(copy)
+    if mesh.users == 0:
+        bpy.data.meshes.remove(mesh)
+
+
+def _hide(scene, names, hidden):
+    for name in names:
+        object = scene.objects.get(name)
+        if object is not None:
+            object.hide_render = object.hide_viewport = hidden
+
+
+def _place(context, target):
+    """The mesh that takes a target's light, made if need be; a Finding if the object is not what was read."""
+    scene = context.scene
+    object = scene.objects.get(target.object)
+    if object is None:
+        return Finding(target.object, "it was deleted during the bake", "its light was dropped")
+    changed = Finding(target.object, "its mesh was changed during the bake", "its light was dropped: bake it again")
+    copy = result_copy(scene, target.object)
+    corners = target.last - target.first
+    if not target.same:
+        if copy is None or len(copy.data.loops) != corners:
+            with originals_shown(scene):
+                mesh = _evaluated_mesh(object, context.evaluated_depsgraph_get())
+            if len(mesh.loops) != corners:
+                bpy.data.meshes.remove(mesh)
+                return changed
+            copy = _result_copy(scene, object, mesh)
+        return copy.data
+    if len(object.data.loops) != corners or object.mode == "EDIT":
+        return changed
+    if copy is not None:
+        remove_copy(scene, copy)
+    if object.data.users - object.data.use_fake_user > 1:
+        object.data = object.data.copy()
+    return object.data
+
+
+def _of_target(target, values):
+    """(K, 3) those of the scene's corner values (C, 3) that are a target's, in the order of its mesh."""
+    own = np.empty((target.last - target.first, 3))
+    own[target.corner] = values[target.first : target.last]
+    return own
 
 
 def _write_layer(mesh, layer, domain, values):
-    """Put values (K, 3) into the mesh's float color attribute `layer`, made anew if it is of another kind."""
+    """Put corner values (K, 3) into the mesh's float color attribute `layer`, made anew if it is of another kind."""
     attribute = mesh.color_attributes.get(layer)
     if attribute is not None and (attribute.domain != domain or attribute.data_type != "FLOAT_COLOR"):
         mesh.color_attributes.remove(attribute)
         attribute = None
     if attribute is None:
         attribute = mesh.color_attributes.new(layer, "FLOAT_COLOR", domain)
+    if domain == "POINT":
+        values = vertex_means(values, _corner_vertices(mesh), len(mesh.vertices))
     rgba = np.ones((len(values), 4), np.float32)
     rgba[:, :3] = values
     attribute.data.foreach_set("color", rgba.reshape(-1))
@@ -89,14 +140,18 @@ def _corner_vertices(mesh):
     return vertex
 
 
-def _evaluated_mesh(name, depsgraph):
+def _evaluated_mesh(object, depsgraph):
     """A new mesh of what an object's modifiers make of it."""
-    object = bpy.data.objects[name].evaluated_get(depsgraph)
-    return bpy.data.meshes.new_from_object(object, preserve_all_data_layers=True, depsgraph=depsgraph)
+    evaluated = object.evaluated_get(depsgraph)
+    return bpy.data.meshes.new_from_object(evaluated, preserve_all_data_layers=True, depsgraph=depsgraph)
 
 
-def _result_copy(object, mesh):
-    """A marked copy of an object with another mesh and no modifiers, in its place; the original is hidden."""
+def _result_copy(scene, object, mesh):
+    """A marked copy of an object with another mesh and no modifiers, in place of any older one; the original is
+    hidden."""
+    former = result_copy(scene, object.name)
+    if former is not None:
+        remove_copy(scene, former)
     copy = object.copy()
     copy.data = mesh
     copy.name = mesh.name = f"{object.name}_radiosity"
@@ -106,5 +161,5 @@ def _result_copy(object, mesh):
     copy[f"{KEY}_of"] = object.name
     for collection in object.users_collection:
         collection.objects.link(copy)
-    object.hide_render = object.hide_viewport = True
+    _hide(scene, [object.name], True)
     return copy
