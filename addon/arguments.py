@@ -5,12 +5,12 @@ from __future__ import annotations
 import argparse
 
 from ..core.layers import LAYERS
-from ..core.settings import PRESETS
+from ..core.settings import EFFECTS, PRESETS
 from .job import Options
 
 LATER = {
     "--time": "a time limit", "--target": "lightmaps", "--mesh": "subdivision", "--per-object": "an error per object",
-    "--state": "state files", "--groups": "light groups", "--force-effects": "forced effects",
+    "--state": "state files", "--groups": "light groups",
     "--texels-per-meter": "lightmaps", "--size": "lightmaps", "--uv": "lightmaps", "--max-edge": "subdivision",
     "--min-edge": "subdivision", "--contrast": "subdivision", "--vertices": "subdivision", "--in-place": "subdivision",
 }  # fmt: skip
@@ -35,6 +35,17 @@ def layers(text):
     unknown = [name for name in names if name not in LAYERS]
     if unknown or not names:
         raise argparse.ArgumentTypeError(f"{', '.join(unknown) or 'nothing'}: layers are {', '.join(LAYERS)}")
+    return names
+
+
+def effects(text):
+    """Names of effects from a list with commas, or "all"."""
+    names = tuple(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
+    if names == ("all",):
+        return EFFECTS
+    unknown = [name for name in names if name not in EFFECTS]
+    if unknown or not names:
+        raise argparse.ArgumentTypeError(f"{', '.join(unknown) or 'nothing'}: effects are all, {', '.join(EFFECTS)}")
     return names
 
 
@@ -86,6 +97,9 @@ def add_scene_options(parser):
     parser.add_argument("--side", choices=("front", "back", "lit"), default="front", help="the side of faces to bake")
     parser.add_argument("--max-patch", type=patch_edge, metavar="M", help="longest edge of a patch [m], or 'mesh'")
     parser.add_argument("--rows", choices=("rays", "analytic"), help="estimator of form factors (default: rays)")
+    parser.add_argument(
+        "--force-effects", type=effects, default=(), metavar="all|A,B", help="simulate what the scene does not call for"
+    )
     parser.add_argument("--memory", type=memory, default=0.0, metavar="2G", help="memory that may be used")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of all samples")
     parser.add_argument("--frame", type=int, metavar="N", help="take this frame")
@@ -104,6 +118,7 @@ def make_options(arguments, **others):
         max_patch=arguments.max_patch,
         rows=arguments.rows,
         memory=arguments.memory,
+        force=arguments.force_effects,
         seed=arguments.seed,
         **others,
     )

@@ -10,10 +10,10 @@ import argparse
 import signal
 import sys
 
-from . import command_bake, command_cells
+from . import command_bake, command_cells, command_effects
 from .version import version
 
-COMMANDS = (command_bake, command_cells)
+COMMANDS = (command_bake, command_cells, command_effects)
 
 
 def main(argv):

@@ -11,6 +11,7 @@ from time import perf_counter
 from ..core.bake import bake, run
 from ..core.cells import make_cells
 from ..core.layers import layer_colors
+from ..core.lights import emitting_polygons
 from ..core.report import make_report
 from ..core.settings import Settings
 from .errors import Refused
@@ -22,7 +23,8 @@ from .write_result import check_names, originals_shown, writing_result
 @dataclass(frozen=True)
 class Options:
     """What the user asked for. objects: names or globs of the objects to write, () for all. error: relative. cells,
-    memory [bytes]: 0 leaves them to the machine. rows: None takes what the schedule goes with."""
+    memory [bytes]: 0 leaves them to the machine. rows: None takes what the schedule goes with. force: effects that are
+    simulated although the scene does not call for them."""
 
     error: float = 0.02
     layers: tuple = ("Radiosity", "Lighting")
@@ -37,6 +39,7 @@ class Options:
     schedule: str = "dynamic"
     rows: str | None = None
     memory: float = 0.0
+    force: tuple = ()
 
     def settings(self, diagonal):
         """The core's Settings; diagonal: of the scene [m]."""
@@ -44,6 +47,7 @@ class Options:
             self.error,
             seed=self.seed,
             side=self.side,
+            force=self.force,
             schedule=self.schedule,
             rows=self.rows or ("analytic" if self.schedule == "paper" else "rays"),
             memory=self.memory or default_memory(),
@@ -121,8 +125,8 @@ class Job:
         if not self.targets:
             what = f"no mesh matches {', '.join(patterns)}" if patterns else "no mesh of this file can be written"
             raise Refused(f"there is nothing to write to: {what}")
-        emits = any(max(m.exitance) > 0 for m in self.scene.materials)
-        if not (self.scene.lamps or emits or max(self.scene.world.radiance) > 0):
+        emits = len(emitting_polygons(self.scene)) > 0
+        if not (self.scene.lamps or emits or self.scene.world.brightest > 0):
             raise Refused("nothing gives light: add a lamp, an emitting material or a world color")
         check_names(self.targets, self.options.layers)
         self._read_seconds = perf_counter() - begun

@@ -80,7 +80,7 @@ def reading_scene(context, wanted=None, shared="copy", spacing=1 / 200, step=inf
     )
     joined = join_meshes(
         meshes, reader.materials, lamps, World(read_world(scene.world, reader.ignored)), written, scene.name,
-        textures=tuple(reader.textures), health=tuple(reader.health + _hidden(scene, depsgraph, rendered)),
+        textures=tuple(reader.textures), shared=np.unique([id(p.shape) for p in placed], return_inverse=True)[1], health=tuple(reader.health + _hidden(scene, depsgraph, rendered)),
     )  # fmt: skip
     yield
     readings = _read_others(context, context.evaluated_depsgraph_get(), reader, joined, placed, corner, spacing)

@@ -10,10 +10,10 @@ import numpy as np
 
 from .cells import peak_memory
 from .contacts import cut_contacts
-from .effects import Survey, survey
+from .effects import Survey, simplified, survey
 from .gather import Light, gather
 from .host import Solution, solve
-from .kernel import scene_arrays
+from .kernel import transport_arrays
 from .lights import make_sources
 from .paper import solve_paper
 from .patches import Patches, make_patches, patch_of_hit
@@ -25,7 +25,7 @@ from .surfaces import make_surfaces
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a bake stands. phase: "patches", "transport" or "gather". done: share of the phase, 0..1. round, bound: of
+    """Where a bake stands. phase: "survey", "patches", "transport" or "gather". done: share of the phase, 0..1. round, bound: of
     the transport. points: gathered so far. rays: cast so far. seconds: since the bake began. left: seconds, a guess."""
 
     phase: str
@@ -64,24 +64,27 @@ def bake(scene, settings, cells):
 
 def _bake(scene, settings, cells):
     clock = _Clock(cells)
-    found = survey(scene)
+    found = survey(scene, settings, cells)
     clock.lap("survey")
+    yield Progress("survey", 1.0, clock.total())
 
     edge = None if settings.patch_edge is None else settings.patch_edge * scene.diagonal
     patches = make_patches(scene, edge)
     sources, sampled = make_sources(scene)
-    cells.start(scene_arrays(scene, patches, sources))
-    if edge is not None:  # patches that are to be the mesh's own polygons stay what they are
+    if not found.needs("color"):
+        sources = sources.one_channel()
+    cells.start(transport_arrays(patches, sources, found.needs("occlusion")))
+    # Patches that are to be the mesh's own polygons stay what they are.
+    if edge is not None and found.needs("occlusion"):
         patches = cut_contacts(scene, patches, cells)
-    surfaces = make_surfaces(scene, patches, sampled)
-    sky = np.pi * np.asarray(scene.world.radiance, float)
+    surfaces, sky = _surfaces(scene, patches, sampled, found)
     clock.lap("patches")
     yield Progress("patches", 1.0, clock.total())
 
     if settings.schedule == "paper":
         solving = solve_paper(patches, surfaces, sources, sky, cells, settings)
     else:
-        solving = solve(patches, surfaces, sky, cells, settings)
+        solving = solve(patches, surfaces, sky, cells, settings, found)
     solution = yield from _each(solving, lambda r: _of_round(r, settings, clock))
     clock.lap("transport")
 
@@ -94,6 +97,21 @@ def _bake(scene, settings, cells):
         scene, settings, found.after(scene, patches, solution, cells.note), patches, points, solution, light,
         seconds=clock.seconds(), rays=clock.rays(), cells=clock.cells(),
     )  # fmt: skip
+
+
+def _surfaces(scene, patches, sampled, found):
+    """The Surfaces of patches and exitance (C,) of the world, without what the survey found to be left out."""
+    surfaces = make_surfaces(simplified(scene, found), patches, sampled)
+    sky = np.pi * np.asarray(scene.world.radiance, float)
+    if not found.needs("sky"):
+        sky = np.zeros_like(sky)
+    if not found.needs("color"):
+        surfaces, sky = surfaces.one_channel(), sky.mean(keepdims=True)
+    if not found.needs("two-sided"):
+        surfaces = surfaces.reflecting(np.arange(2 * len(patches)) % 2 == 0)
+    if not (found.needs("interreflection") or surfaces.found.any() or sky.any()):
+        surfaces = surfaces.reflecting(np.zeros(2 * len(patches), bool))
+    return surfaces, sky
 
 
 def run(generator, show=None):

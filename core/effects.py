@@ -1,20 +1,45 @@
 """The survey: which effects of light a scene calls for, what is ignored, and what is wrong with its data.
 
-Owns the records `Effect` and `Survey` and every decision to leave something out. A decision comes with its reason.
+Owns the records `Effect` and `Survey` and every decision to leave something out. A decision comes with its reason and
+holds at the error asked for: an effect is left out if it cannot change the result by more than `SHARE` of that error.
+Geometry decides where it can (convexity, by position); where only rays can tell, so many are cast that what none of
+them has seen is too little to matter.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from .cells import LocalCells
+from .kernel import cast_arrays
+from .lights import emitting_polygons, lamp_outline, lamp_power
+from .sampling import R2, R4, hemisphere, scatter, tangents
+from .settings import EFFECTS, Settings
+from .surfaces import LARGEST_REFLECTANCE
+from .vectors import components, dot
+
 DARK = 1e-3  # an object whose front gets less than this share of what its back gets is lit from behind
+SHARE = 0.2  # of the error asked for that one effect may be worth when it is left out
+SEEN = 150  # rays of the survey from each side of the faces, divided by the error asked for
+MOST_RAYS = 100_000  # of the survey, from each side
+EACH = 4  # rays at least from each side of every piece of surface
+LAMP_RAYS = 256  # rays from each lamp
+MOST_LAMPS = 64  # that send them
+MOST_GLOWING = 256  # emitting faces that may be seen without obstruction; of more, some are taken to be hidden
+SURE = 3.0  # what none of n rays has seen is at most SURE / n of what there is, with 95 % confidence
+WELD = 1e-6  # positions closer than this share of the scene's diagonal are the same
+MOST_TESTS = 200_000_000  # of a vertex against a plane; a room of more faces than that allows is not called convex
+MOST_TRIANGLES = 300_000  # that are sorted into pieces by their corners; in larger scenes each object is a piece
+TASK_RAYS = 1 << 14
+INSIDE = 0.998  # how far toward its rim rays set out from a face
 
 
 @dataclass(frozen=True)
 class Effect:
-    """One effect: whether the scene needs it, and why, in words that name what decided."""
+    """One effect: whether the scene needs it, and why, in words that name what decided. seconds: what it cost, or would
+    have cost where it was left out (an estimate); None before the bake."""
 
     name: str
     needed: bool
@@ -33,11 +58,21 @@ class Finding:
 
 @dataclass(frozen=True)
 class Survey:
-    """Effects in a fixed order; ignored: (object, reason) of what cannot be simulated; health: findings."""
+    """Effects, in the order of `EFFECTS`; ignored: (object, reason) of what cannot be simulated; health: findings.
+
+    island: (P, 2) int32 number of the part of the scene that each polygon's front and back belong to: light of one
+    never reaches another. islands: how many of them have light.
+    """
 
     effects: tuple
     ignored: tuple = ()
     health: tuple = ()
+    island: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), np.int32))
+    islands: int = 1
+
+    def needs(self, name):
+        """Whether an effect is simulated."""
+        return next(e.needed for e in self.effects if e.name == name)
 
     def after(self, scene, patches, solution, cells_note=""):
         """The survey with what only the bake shows: objects that are lit from behind, and cells that failed."""
@@ -58,34 +93,494 @@ class Survey:
         return replace(self, health=(*self.health, *more, *cells))
 
 
-def survey(scene):
-    """The Survey of a scene, before any ray is cast."""
+def survey(scene, settings=None, cells=None):
+    """The Survey of a scene at the error that the settings ask for. cells: that cast its rays; None: this process."""
+    settings = settings or Settings()
+    cells = cells or LocalCells()
+    look = _Look(scene, settings, cells)
+    two_sided = _two_sided(look)
+    effects = {
+        "occlusion": _occlusion(look, two_sided.needed or _forced(settings, "two-sided")),
+        "interreflection": _interreflection(look),
+        "color": _color(look),
+        "lamps": _lamps(scene),
+        "emission": _emission(scene),
+        "sky": look.sky,
+        "textures": _textures(look),
+        "two-sided": two_sided,
+        "transparency": _transparency(scene),
+        "instances": _instances(scene),
+        "islands": _islands(look),
+    }
     return Survey(
-        effects=(_lamps(scene), _emission(scene), _sky(scene)),
+        effects=tuple(_force(effects[name], settings) for name in EFFECTS),
         ignored=tuple(scene.ignored),
         health=(*scene.health, *_unusable(scene)),
+        island=look.island,
+        islands=len(look.lit_islands),
     )
+
+
+def simplified(scene, found):
+    """The scene as transport needs it: images of one color as that color, if the survey leaves textures out."""
+    if found.needs("textures") or not scene.textures:
+        return scene
+    return replace(scene, materials=tuple(_even(m, scene.textures) for m in scene.materials))
+
+
+def _even(material, textures):
+    """A material with its texture as one color."""
+    if material.texture is None:
+        return material
+    mean = textures[material.texture].mean
+    color = np.asarray(material.reflectance) + np.asarray(material.tint) * mean
+    return replace(material, reflectance=tuple(color), texture=None)
+
+
+def _forced(settings, name):
+    return name in settings.force
+
+
+def _force(effect, settings):
+    if effect.needed or not _forced(settings, effect.name):
+        return effect
+    return replace(effect, needed=True, reason=f"forced; not needed: {effect.reason}")
+
+
+class _Look:
+    """What the survey's rays and the geometry say about a scene; each decision reads what it needs."""
+
+    def __init__(self, scene, settings, cells):
+        self.scene, self.settings = scene, settings
+        self.tolerance = SHARE * settings.error
+        self.usable = np.flatnonzero(scene.usable)
+        self.materials = _Materials(scene)
+        self.material = scene.polygon_material[scene.triangle_polygon[self.usable]]
+        self.lamps = [lamp for lamp in scene.lamps if max(lamp.strength) > 0]
+        self.emitting = emitting_polygons(scene)
+        cells.start(cast_arrays(scene))
+        self._cells = cells
+        self._piece = _pieces(scene)  # of each polygon
+        self._cast()
+
+    def _cast(self):
+        """Cast the rays: from both sides of the faces, from the lamps, and toward the suns."""
+        scene, usable = self.scene, self.usable
+        pieces = int(self._piece.max(initial=-1)) + 1
+        nodes = [2 * self._piece[scene.triangle_polygon], 2 * self._piece[scene.triangle_polygon] + 1]
+        lit, open_to_sky = np.zeros(2 * pieces, bool), np.zeros(2 * pieces, bool)
+        triangle, number = self._origins(pieces)
+        self.rays, here, there = len(triangle), [], []
+        escaped, on_back, on_front = np.zeros(2, int), np.zeros(2, int), np.zeros(2, int)
+        meets = np.zeros(2)
+        suns = [lamp for lamp in self.lamps if lamp.kind == "sun"]
+        for side in (0, 1):
+            position, normal, direction = _face_rays(scene, triangle, number, side)
+            hit, back = self._hits(position, normal, direction)
+            met = hit >= 0
+            here.append(nodes[side][triangle[met]])
+            there.append(np.where(back, nodes[1][hit], nodes[0][hit])[met])
+            escaped[side] = int((~met).sum())
+            on_back[side], on_front[side] = int((met & back).sum()), int((met & ~back).sum())
+            returned = self.materials.returned[scene.polygon_material[scene.triangle_polygon[hit[met]]]]
+            meets[side] = float(returned.max(initial=0.0))
+            open_to_sky[nodes[side][triangle[~met]]] = True
+            for sun in suns:
+                toward = np.broadcast_to(np.asarray(sun.axes[2], float), position.shape)
+                faces = np.flatnonzero(dot(toward, normal) > 0)
+                free = faces[self._hits(position[faces], normal[faces], toward[faces])[0] < 0]
+                lit[nodes[side][triangle[free]]] = True
+        self.escaped, self.on_back, self.on_front, self.meets = escaped, on_back, on_front, meets
+        for lamp in sorted(self.lamps, key=lamp_power, reverse=True)[:MOST_LAMPS]:
+            if lamp.kind != "sun":
+                hit, back = self._hits(*_lamp_rays(lamp))
+                lit[np.where(back, nodes[1][hit], nodes[0][hit])[hit >= 0]] = True
+        glowing, number = self._glowing()
+        for side in (0, 1):
+            hit, back = self._hits(*_face_rays(scene, glowing, number, side))
+            lit[np.where(back, nodes[1][hit], nodes[0][hit])[hit >= 0]] = True
+        self.sky = _sky(self)
+        if self.sky.needed or (scene.world.brightest > 0 and _forced(self.settings, "sky")):
+            lit |= open_to_sky
+        # Both sides of what light passes through are one.
+        thin = np.unique(self._piece[self.materials.thin[scene.polygon_material]])
+        label = components(2 * pieces, np.concatenate([*here, 2 * thin]), np.concatenate([*there, 2 * thin + 1]))
+        label = np.unique(label, return_inverse=True)[1].reshape(-1)
+        self.island = np.stack([label[2 * self._piece], label[2 * self._piece + 1]], axis=1).astype(np.int32)
+        self.lit_islands = np.unique(label[lit])
+        # A back side matters if its island has light.
+        backs = np.flatnonzero(np.isin(self.island[scene.triangle_polygon[usable], 1], self.lit_islands))
+        self.lit_object = _owner(scene, usable[backs[0]]) if len(backs) else None
+
+    def _origins(self, pieces):
+        """Triangles (K,) that rays set out from, by area, a few from every piece at least; and the rays' numbers (K,)."""
+        scene = self.scene
+        count = int(min(SEEN / self.settings.error, MOST_RAYS))
+        area = scene.triangle_normal_area[1][self.usable]
+        if not len(area):
+            return np.zeros(0, np.int64), np.zeros(0, np.int64)
+        upper = np.cumsum(area)
+        place = (np.arange(count) + 0.5) / count * upper[-1]
+        chosen = self.usable[np.minimum(np.searchsorted(upper, place, side="right"), len(area) - 1)]
+        piece = self._piece[scene.triangle_polygon[self.usable]]
+        if pieces * EACH <= MOST_RAYS:
+            order = np.argsort(piece, kind="stable")
+            first = np.searchsorted(piece[order], np.arange(pieces))
+            size = np.diff(np.append(first, len(order)))
+            some = (
+                [order[first + (size * (2 * k + 1)) // (2 * EACH)][size > 0] for k in range(EACH)] if len(order) else []
+            )
+            chosen = np.concatenate([chosen, *(self.usable[s] for s in some)])
+        return chosen, np.arange(len(chosen))
+
+    def _glowing(self):
+        """Emitting triangles (K,) that rays set out from, each as often as its area says, and the rays' numbers (K,)."""
+        triangle = self.usable[np.isin(self.scene.triangle_polygon[self.usable], self.emitting)]
+        if not len(triangle):
+            return triangle, triangle
+        upper = np.cumsum(self.scene.triangle_normal_area[1][triangle])
+        count = LAMP_RAYS * min(len(self.emitting), MOST_LAMPS)
+        place = (np.arange(count) + 0.5) / count * upper[-1]
+        return triangle[np.minimum(np.searchsorted(upper, place, side="right"), len(triangle) - 1)], np.arange(count)
+
+    def _hits(self, position, normal, direction):
+        """Triangle (K,), -1 where a ray escapes, and whether it met its back (K,)."""
+        parts = [slice(k, k + TASK_RAYS) for k in range(0, len(position), TASK_RAYS)]
+        tasks = [
+            self._cells.submit("cast", position=position[p], normal=normal[p], direction=direction[p]) for p in parts
+        ]
+        found = self._cells.take(tasks)
+        hit = np.concatenate([np.zeros(0, np.int32), *(f["triangle"] for f in found)])
+        return hit, np.concatenate([np.zeros(0, bool), *(f["back"] for f in found)])
+
+
+class _Materials:
+    """Bounds on what the scene's materials do, a row for each: returned (M,) the most that one sends on, thin (M,) bool
+    light passes through, tint (M,) how far from gray, as a share, and the texture's spread (M,)."""
+
+    def __init__(self, scene):
+        rows, thin, tint = [], [], []
+        textures = [_texture_range(t) for t in scene.textures]
+        for m in scene.materials:
+            low = high = np.clip(np.asarray(m.reflectance, float), 0, LARGEST_REFLECTANCE)
+            shades = [np.asarray(m.reflectance, float), np.asarray(m.translucency, float)]
+            uneven = 0.0
+            if m.texture is not None:
+                darkest, brightest, uneven = textures[m.texture]
+                low, high = low + np.asarray(m.tint) * darkest, high + np.asarray(m.tint) * brightest
+                shades.append(np.asarray(m.tint, float))
+            rows.append((high + np.asarray(m.translucency)).max())
+            thin.append(max(m.translucency) > 0)
+            tint.append(max([_tint(s) for s in shades] + [uneven]))
+        self.returned = np.minimum(np.nan_to_num(np.array(rows, float)), LARGEST_REFLECTANCE)
+        self.thin, self.tint = np.array(thin, bool), np.array(tint, float)
+
+
+def _tint(color):
+    """How far a color (..., 3) is from gray: its spread as a share of its mean."""
+    color = np.asarray(color, float)
+    mean = np.abs(color).mean()
+    return float((color.max() - color.min()) / mean) if mean > 0 else 0.0
+
+
+def _texture_range(texture):
+    """Darkest and brightest color (3,) of a texture, and how far from gray it is anywhere, as a share of its mean."""
+    pixels = texture.pixels
+    apart = np.maximum(np.maximum(pixels[..., 0], pixels[..., 1]), pixels[..., 2])
+    apart = apart - np.minimum(np.minimum(pixels[..., 0], pixels[..., 1]), pixels[..., 2])
+    mean = max(float(np.einsum("hwc->", pixels.astype(float))) / max(pixels.size, 1), 1e-9)
+    return pixels.min(axis=(0, 1)), pixels.max(axis=(0, 1)), float(apart.max()) / mean
+
+
+def _two_sided(look):
+    """Whether the backs of faces matter: some are asked for, or rays say that light gets to them."""
+    settings = look.settings
+    if settings.side != "front":
+        return Effect("two-sided", True, f"--side {settings.side} asks for the light on the backs of faces")
+    if look.lit_object:
+        return Effect("two-sided", True, f"light gets to the backs of faces, of {look.lit_object} for one")
+    text = f"none of {look.rays} rays from the fronts of faces met the back of one, nor did those of lamps and sky"
+    return Effect("two-sided", False, text)
+
+
+def _occlusion(look, two_sided):
+    """Whether anything can stand between a source and a face that it could light: nothing can if the faces that are
+    turned to sources make up a convex room with the sources in it, or a block on whose outside they lie."""
+    scene = look.scene
+    sources = [lamp_outline(lamp) for lamp in look.lamps]
+    if len(look.emitting):
+        corners = np.concatenate([np.arange(*scene.polygon_start[p : p + 2]) for p in look.emitting[:MOST_GLOWING]])
+        sources.append((scene.vertices[np.unique(scene.corner_vertex[corners])], None))
+    if not sources:
+        return Effect("occlusion", False, "there is no lamp or emitting face that anything could stand before")
+    if len(look.emitting) > MOST_GLOWING:
+        return Effect("occlusion", True, f"{len(look.emitting)} emitting faces can shade one another")
+    unit = 1.0 / max(scene.diagonal, 1e-300)
+    middle = scene.bounds.mean(axis=0)
+    normal = scene.triangle_normal_area[0][look.usable]
+    corner = (scene.vertices[scene.triangles[look.usable]] - middle) * unit
+    planes = [(normal, look.usable)] + ([(-normal, look.usable)] if two_sided else [])
+    normal = np.concatenate([n for n, _ in planes])
+    corner = np.concatenate([corner] * len(planes))
+    triangle = np.concatenate([t for _, t in planes])
+    offset = dot(normal, corner[:, 0])
+
+    # How far the sources reach above the plane of each face, at least and at most.
+    least, most = np.full(len(normal), np.inf), np.full(len(normal), -np.inf)
+    for places, direction in sources:
+        if direction is not None:
+            rise = dot(normal, direction)
+            rises = [rise - places, rise + places]
+        else:
+            rises = (dot(normal, place) - offset for place in (places - middle) * unit)
+        for rise in rises:
+            np.minimum(least, rise, out=least)
+            np.maximum(most, rise, out=most)
+    turned = most > WELD
+    if not turned.any():
+        return Effect("occlusion", False, "no face is turned to a lamp")
+    planes = np.unique(np.column_stack([normal[turned], offset[turned]]).round(6), axis=0, return_index=True)[1]
+    planes = np.flatnonzero(turned)[planes]
+    own = np.unique(scene.triangles[triangle[turned]])
+    everything = np.unique(scene.triangles[look.usable])
+    inside = _outlier(scene, look, normal[planes], offset[planes], own, triangle[planes], +1)
+    behind = least[planes] < -WELD
+    if inside is None and not behind.any():
+        return Effect("occlusion", False, f"the faces that lamps reach are convex ({len(planes)} planes), with all lamps in front of them: nothing can cast a shadow")  # fmt: skip
+    outside = _outlier(scene, look, normal[planes], offset[planes], everything, triangle[planes], -1)
+    if outside is None:
+        return Effect("occlusion", False, f"everything lies behind the {len(planes)} planes of the faces that lamps reach: nothing can cast a shadow")  # fmt: skip
+    if inside is None:
+        face = _owner(scene, triangle[planes][np.flatnonzero(behind)[0]])
+        return Effect(
+            "occlusion", True, f"a lamp, or a part of it, is behind a face of {face} that another could light"
+        )
+    return Effect("occlusion", True, inside)
+
+
+def _outlier(scene, look, normal, offset, vertices, triangle, sign):
+    """What keeps vertices from lying all on or in front (sign -1: behind) of planes, in words; None if they do."""
+    if not len(vertices) or len(normal) * len(vertices) > MOST_TESTS:
+        return f"the faces that lamps could light lie in {len(normal)} planes"
+    place = (scene.vertices[vertices] - scene.bounds.mean(axis=0)) / max(scene.diagonal, 1e-300)
+    step = max(1 << 22, len(vertices)) // len(vertices)
+    # Planes far apart first: most rooms are found out by one of them.
+    order = np.argsort(scatter(np.arange(len(normal)), 17), kind="stable")
+    for k in range(0, len(order), step):
+        part = order[k : k + step]
+        height = sign * (np.einsum("vd,pd->pv", place, normal[part]) - offset[part][:, None])
+        worst = height.min(axis=1)
+        if (worst < -WELD).any():
+            plane = int(np.argmin(worst))
+            vertex = vertices[int(np.argmin(height[plane]))]
+            here = _owner(scene, triangle[part[plane]])
+            there = _owner(scene, int(np.flatnonzero((scene.triangles == vertex).any(axis=1))[0]))
+            meters = -worst[plane] * scene.diagonal
+            return f"not convex: {there} reaches {meters:.3g} m behind a face of {here} that a lamp could light"
+    return None
+
+
+def _owner(scene, triangle):
+    """Name of the object that a triangle belongs to."""
+    return scene.objects[scene.polygon_object[scene.triangle_polygon[triangle]]]
+
+
+def _interreflection(look):
+    """How often light can bounce before what is left is below the error asked for."""
+    met = look.on_front.sum() + look.on_back.sum()
+    most = float(look.materials.returned[np.unique(look.material)].max(initial=0.0)) if len(look.material) else 0.0
+    asked = f"at the {100 * look.settings.error:g} % asked for"
+    if not met or not max(look.meets):
+        what = "met a face" if not met else "met a face that reflects"
+        return Effect("interreflection", False, f"none of {2 * look.rays} rays from faces {what}")
+    left = most / (1.0 - most)
+    if left <= look.tolerance:
+        return Effect("interreflection", False, f"at most {100 * left:.2g} % of the light is reflected, {asked}")
+    bounces = 1
+    while left > look.tolerance and bounces < 100_000:
+        left *= most
+        bounces += 1
+    brightest = look.scene.materials[int(np.argmax(np.where(_used(look), look.materials.returned, -1)))].name
+    bounces = f"{bounces - 1} bounces" if bounces > 2 else "1 bounce"
+    return Effect(
+        "interreflection", True, f"{brightest} reflects {100 * most:.3g} %: up to {bounces} can matter {asked}"
+    )
+
+
+def _used(look):
+    return np.isin(np.arange(len(look.scene.materials)), look.material)
+
+
+def _color(look):
+    """Whether channels can differ: by how much colored reflectances and lights can tint the result."""
+    scene, used = look.scene, np.unique(look.material)
+    shades = [(f"the material {scene.materials[m].name}", look.materials.tint[m]) for m in used]
+    lights = [(f"the lamp {lamp.name}", _tint(lamp.strength)) for lamp in look.lamps]
+    lights += [(f"the emission of {scene.materials[m].name}", _tint(scene.materials[m].exitance)) for m in used]
+    lights += [("the world", _tint(scene.world.radiance))] if look.sky.needed else []
+    if scene.readings is not None and len(scene.readings.triangle):
+        read = scene.readings
+        shades.append(("what Cycles read of nodes", _apart(read.reflectance)))
+        lights.append(("the emission that Cycles read of nodes", _apart(read.exitance)))
+    most = min(float(look.materials.returned[used].max(initial=0.0)), LARGEST_REFLECTANCE) if len(used) else 0.0
+    gain = 1.0 + most / (1.0 - most)  # a change of all reflectances by a share x changes the light by up to gain x
+    shades, lights = sorted(shades, key=lambda s: -s[1]), sorted(lights, key=lambda s: -s[1])
+    worst = gain * (shades[0][1] if shades else 0.0), lights[0][1] if lights else 0.0
+    if sum(worst) <= look.tolerance:
+        count = len([light for light in lights if not light[0].startswith("the emission")])
+        almost = "" if sum(worst) == 0 else f" to {100 * sum(worst):.2g} %"
+        return Effect("color", False, f"all {len(used)} reflectances and {count} lights are gray{almost}: one channel is solved")  # fmt: skip
+    name = (shades if worst[0] > worst[1] else lights)[0]
+    return Effect("color", True, f"{name[0]} is tinted: its channels differ by {100 * name[1]:.3g} %")
+
+
+def _apart(values):
+    """How far colors (K, 3) are from gray at most, as a share of their mean."""
+    mean = float(np.abs(values).mean()) if len(values) else 0.0
+    return float((values.max(axis=1) - values.min(axis=1)).max()) / mean if mean > 0 else 0.0
 
 
 def _lamps(scene):
     kinds = [lamp.kind for lamp in scene.lamps if max(lamp.strength) > 0]
     if not kinds:
-        return Effect("lamps", False, "no lamp gives light")
+        return Effect("lamps", False, "no lamp gives light" if scene.lamps else "there is no lamp")
     return Effect("lamps", True, ", ".join(f"{kinds.count(k)} {k}" for k in sorted(set(kinds))))
 
 
 def _emission(scene):
-    bright = np.array([max(m.exitance) > 0 for m in scene.materials], bool)
-    faces = int(bright[scene.polygon_material].sum())
+    faces = len(emitting_polygons(scene))
     if not faces:
         return Effect("emission", False, "no face emits light")
-    return Effect("emission", True, f"{faces} faces emit light")
+    names = sorted({scene.objects[o] for o in np.unique(scene.polygon_object[emitting_polygons(scene)])})
+    more = f" and {len(names) - 3} more objects" if len(names) > 3 else ""
+    return Effect("emission", True, f"{faces} faces emit light, of {', '.join(names[:3])}{more}")
 
 
-def _sky(scene):
-    if max(scene.world.radiance) <= 0:
+def _sky(look):
+    """Whether the world's light gets to any face."""
+    scene = look.scene
+    if scene.world.brightest <= 0:
         return Effect("sky", False, "the world is black")
-    return Effect("sky", True, "the world gives light")
+    escaped, rays = int(look.escaped[0]), look.rays
+    if escaped:
+        return Effect("sky", True, f"{escaped} of {rays} rays from the fronts of faces escaped")
+    if look.settings.side != "front" and look.escaped[1]:
+        return Effect("sky", True, f"{look.escaped[1]} of {rays} rays from the backs of faces escaped")
+    # What none of the rays has seen may still be SURE / n of the sky.
+    area = float(scene.triangle_normal_area[1][look.usable].sum())
+    missed = SURE / max(rays, 1) * np.pi * scene.world.brightest * area
+    exitance = np.array([max(m.exitance) for m in scene.materials], float)
+    polygon = scene.triangle_polygon[look.usable]
+    faces = 2 * float((exitance[scene.polygon_material[polygon]] * scene.triangle_normal_area[1][look.usable]).sum())
+    inside = faces + sum(lamp_power(lamp) for lamp in look.lamps if lamp.kind != "sun")
+    if missed > look.tolerance * inside:
+        return Effect("sky", True, f"0 of {rays} rays escaped, but the world is so much brighter than the rest that even {SURE:g} in {rays} could matter")  # fmt: skip
+    return Effect("sky", False, f"0 of {rays} rays escaped")
+
+
+def _textures(look):
+    scene = look.scene
+    spread = {
+        scene.materials[m].name: _spread(scene.textures[scene.materials[m].texture])
+        for m in np.unique(look.material)
+        if scene.materials[m].texture is not None
+    }
+    if scene.readings is not None and len(scene.readings.triangle):
+        return Effect("textures", True, f"nodes were read by Cycles at {len(scene.readings.triangle)} places")
+    if not spread:
+        return Effect("textures", False, "no material has an image")
+    name = max(spread, key=spread.get)
+    if spread[name] <= look.tolerance:
+        return Effect("textures", False, f"all {len(spread)} images are of one color, to {100 * spread[name]:.2g} %")
+    return Effect("textures", True, f"{len(spread)} materials have an image; that of {name} varies by {100 * spread[name]:.3g} %")  # fmt: skip
+
+
+def _spread(texture):
+    """How far a texture's pixels are apart, as a share of its mean."""
+    low, high = texture.pixels.min(axis=(0, 1)), texture.pixels.max(axis=(0, 1))
+    mean = float(np.einsum("hwc->", texture.pixels.astype(float))) / max(texture.pixels.size, 1)
+    return float((high - low).max()) / max(mean, 1e-9)
+
+
+def _transparency(scene):
+    return Effect("transparency", False, "every surface is opaque")
+
+
+def _instances(scene):
+    """Objects that share a mesh."""
+    if scene.shared is None:
+        return Effect("instances", False, "no two objects share a mesh")
+    count = np.bincount(scene.shared)
+    many = int((count > 1).sum())
+    if not many:
+        return Effect("instances", False, "no two objects share a mesh")
+    return Effect(
+        "instances", True, f"{int(count[count > 1].sum())} objects share {many} meshes; each is lit by itself"
+    )
+
+
+def _islands(look):
+    count = len(look.lit_islands)
+    if count < 2:
+        return Effect(
+            "islands", False, "all faces that light gets to can see one another, directly or by way of others"
+        )
+    names = []
+    for k in look.lit_islands[:3]:
+        polygon, side = (x[0] for x in np.nonzero(look.island == k))
+        word = "back" if side else "front"
+        names.append(f"{look.scene.objects[look.scene.polygon_object[polygon]]}, {word}")
+    return Effect("islands", True, f"{count} parts cannot see one another ({'; '.join(names)}{'; ...' if count > 3 else ''}): each has a stop of its own")  # fmt: skip
+
+
+def _pieces(scene):
+    """(P,) number of the piece of surface that each polygon belongs to: polygons that touch at corners, by position."""
+    if len(scene.triangles) > MOST_TRIANGLES or not scene.usable.any():
+        return scene.polygon_object.astype(np.int64)
+    step = WELD * max(scene.diagonal, 1e-300)
+    with np.errstate(invalid="ignore", over="ignore"):
+        place = np.clip(np.nan_to_num((scene.vertices - scene.bounds[0]) / step), -1, (1 << 21) - 2) + 1.5
+    x, y, z = place.astype(np.int64).T
+    _, vertex = np.unique((x << 42) | (y << 21) | z, return_inverse=True)
+    size = np.diff(scene.polygon_start)
+    corner = vertex.reshape(-1)[scene.corner_vertex]
+    polygon = np.repeat(np.arange(len(size)), size)
+    count = int(vertex.max()) + 1
+    label = components(count + len(size), corner, count + polygon)[count:]
+    return np.unique(label, return_inverse=True)[1].reshape(-1)
+
+
+def _face_rays(scene, triangle, number, side):
+    """Position, normal and direction (K, 3) of cosine-distributed rays from triangles (K,), one each."""
+    a, b, c = np.moveaxis(scene.vertices[scene.triangles[triangle]], 1, 0)
+    normal = scene.triangle_normal_area[0][triangle] * (1 - 2 * side)
+    u, v, s, t = ((number[:, None] * np.array(R4) + scatter(np.arange(4) + 4 * side, 13)) % 1.0).T
+    # A little inside: rays from the very rim of a face see past its neighbors.
+    root, t = np.sqrt(INSIDE * s)[:, None], INSIDE * t[:, None] + (1 - INSIDE) / 2
+    position = a + root * (1 - t) * (b - a) + root * t * (c - a)
+    local = hemisphere(u, v)
+    t1, t2 = tangents(normal)
+    return position, normal, local[:, :1] * t1 + local[:, 1:2] * t2 + local[:, 2:] * normal
+
+
+def _lamp_rays(lamp):
+    """Position, offset normal (0) and direction (K, 3) of rays from a point, spot or area lamp."""
+    number = np.arange(LAMP_RAYS) + 0.5
+    u, v = number / LAMP_RAYS, (number * R2[0]) % 1.0
+    x, y, z = np.asarray(lamp.axes, float)
+    position = np.broadcast_to(np.asarray(lamp.position, float), (LAMP_RAYS, 3))
+    if lamp.kind == "area":
+        local = hemisphere(u, v)
+        a, b = (number * R4[2]) % 1.0 - 0.5, (number * R4[3]) % 1.0 - 0.5
+        position = position + a[:, None] * lamp.size[0] * x + b[:, None] * lamp.size[1] * y
+    else:
+        # Evenly over the sphere, or the part of it in the cone.
+        least = np.cos(lamp.angle / 2) if lamp.kind == "spot" else -1.0
+        height = least + (1.0 - least) * u
+        ring, turn = np.sqrt(np.maximum(1.0 - height * height, 0.0)), 2 * np.pi * v
+        local = np.stack([ring * np.cos(turn), ring * np.sin(turn), height], axis=1)
+    direction = local[:, :1] * x + local[:, 1:2] * y - local[:, 2:] * z
+    return position, np.zeros_like(position), direction
 
 
 def _unusable(scene):

@@ -49,11 +49,12 @@ def gather(points, solution, surfaces, sky, diagonal, cells, settings):
     # What rays bring, with what comes from beyond last: reflected light, and light no sampled source stands for.
     black = np.zeros_like(sky)
     reflected, found = np.column_stack([solution.reflected, black]), np.column_stack([surfaces.found, sky])
+    nothing = np.zeros((len(sky), 0))
     cells.start(
         {
             **to_arrays("points", points),
-            "gather.reflected": reflected,
-            "gather.found": found if found.any() else np.zeros((len(sky), 0)),
+            "gather.reflected": reflected if reflected.any() else nothing,
+            "gather.found": found if found.any() else nothing,
         }
     )
     size = max(TASK_RAYS // (settings.gather_rays + TESTS), 1)
@@ -82,7 +83,11 @@ def gather_points(kernel, start, stop, rays, seed):
     """
     reflected, found = kernel.arrays["gather.reflected"], kernel.arrays["gather.found"]
     direct = _direct(kernel, start, stop, rays, seed)
-    indirect, nearness = np.empty_like(direct), np.empty(stop - start)
+    indirect, nearness = np.zeros_like(direct), np.zeros(stop - start)
+    if not (reflected.size or found.size):
+        here, there = _pairs(kernel.points, start, stop)
+        links = np.zeros(int((here + start < there).sum()), bool)
+        return {"direct": direct, "indirect": indirect, "nearness": nearness, "links": links}
     tables = _direction_tables(rays, seed)
     for part in blocks(stop - start, rays):
         ids = np.arange(start, stop)[part]
@@ -91,7 +96,8 @@ def gather_points(kernel, start, stop, rays, seed):
         directions = _world_rays(tables, ids, normal, seed)
         side, _, distance = kernel.sides_hit(np.repeat(origin, rays, axis=0), directions.reshape(3, -1).T)
         above = _above(directions, geometric) if (normal != geometric).any() else None
-        indirect[:, part] = _mean_light(reflected, side, rays, above)
+        if reflected.size:
+            indirect[:, part] = _mean_light(reflected, side, rays, above)
         if found.size:
             direct[:, part] += _mean_light(found, side, rays, above)
         near = 1.0 / np.maximum(distance, 1e-6).astype(float)
@@ -142,6 +148,8 @@ def _links(kernel, start, stop):
     here, there = _pairs(points, start, stop)
     here = here + start
     here, there = here[here < there], there[here < there]
+    if not kernel.occluded:
+        return np.ones(len(here), bool)
     ends = [kernel.caster.start(points.position[k], points.geometric[k]) for k in (here, there)]
     return ~kernel.caster.blocked(*ends)
 
@@ -155,6 +163,10 @@ def _direct(kernel, start, stop, rays, seed):
     points, sources = kernel.points, kernel.sources
     if not len(sources):
         return np.zeros((sources.strength.shape[1], stop - start))
+    own = slice(start, stop)
+    if not kernel.occluded and (points.normal[own] == points.geometric[own]).all():
+        each = [unoccluded(sources, s, points.position[own], points.normal[own]) for s in range(len(sources))]
+        return np.einsum("sk,sc->ck", np.stack(each), sources.strength)
     here, there = _pairs(points, start, stop)
     outside = np.unique(there[(there < start) | (there >= stop)])
     ids = np.concatenate([np.arange(start, stop), outside])

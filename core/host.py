@@ -15,6 +15,8 @@ from time import perf_counter
 
 import numpy as np
 
+from .vectors import components, ratio
+
 TASK_RAYS = 1 << 15  # of one task: some 10 ms
 ANALYTIC_TASK = 4  # analytic rows of one task
 ROWS_SHARE = 0.25  # of the memory that a bake may use, for kept rows
@@ -105,6 +107,14 @@ class RayRows:
         """(K,) share of the light that escapes, of the rows from `start` on."""
         return (self.hits[start:] < 0).sum(axis=1) / self.rays
 
+    def links(self, island, start=0):
+        """Pairs (L,), (L,) of islands (2 N,) that rows from `start` on lead from and to."""
+        here = np.repeat(island[self.sides[start:]], self.rays)
+        hits = self.hits[start:].reshape(-1)
+        there = np.take(island, hits, mode="wrap")
+        other = (here != there) & (hits >= 0)
+        return here[other], there[other]
+
 
 class AnalyticRows:
     """Rows of form factors: side k sends share (Z,) of its light to target (Z,), from start[k] to start[k + 1]; the rest
@@ -151,6 +161,12 @@ class AnalyticRows:
         owner = np.repeat(np.arange(len(self.sides) - start), np.diff(self.start[start:]))
         return 1.0 - np.bincount(owner, self.share[self.start[start] :], len(self.sides) - start)
 
+    def links(self, island, start=0):
+        here = np.repeat(island[self.sides[start:]], np.diff(self.start[start:]))
+        there = island[self.target[self.start[start] :]]
+        other = here != there
+        return here[other], there[other]
+
 
 class Transport:
     """Where light is and where it goes: power [W] per channel and side (C, 2 N), in balance after every step.
@@ -158,9 +174,11 @@ class Transport:
     Power that is emitted (by faces that rays find) or arrives first-hand is `emitted`. What arrives on a side is
     partly absorbed; the rest is `unshot` until the side's row sends it on to other sides or out of the scene.
     emitted = absorbed + escaped + unshot, to rounding, at any time.
+    island: (2 N,) number of the part of the scene that each side belongs to; a row that leads from one to another joins
+    the two. What is still missing is judged in each of them by the light that is there.
     """
 
-    def __init__(self, area, surfaces, direct, sky, rows, own=None):
+    def __init__(self, area, surfaces, direct, sky, rows, own=None, island=None):
         self.area, self.surfaces, self.sky = np.repeat(area, 2), surfaces, np.asarray(sky, float)[:, None]
         self.direct = direct
         self.rows = rows
@@ -173,6 +191,7 @@ class Transport:
         self.loose_shot, self.loose_arrived, self.loose_escaped = np.zeros_like(direct), np.zeros_like(direct), 0.0
         # A side without a row may see all of the sky, for all we know: power it would send on then.
         self.ahead = surfaces.send(self.area * self.sky * np.ones_like(direct))
+        self.island = np.zeros(direct.shape[1], np.int64) if island is None else np.asarray(island, np.int64)
 
     @property
     def emitted(self):
@@ -188,6 +207,8 @@ class Transport:
         """The next batch: the `count` sides of highest unshot power without a row and not `taken` (2 N,) bool, ties by
         id; count None takes a share of those that wait."""
         strength = np.where(self.rows.kept | taken, 0.0, (self.unshot + self.ahead).sum(axis=0))
+        if self.island.any():  # the brightest of a dim island are as urgent as those of a bright one
+            strength /= self._there()[self.island]
         waiting = np.flatnonzero(strength > 0)
         count = count or max(BATCH, int(BATCH_SHARE * len(waiting)))
         return waiting[np.argsort(-strength[waiting], kind="stable")[:count]]
@@ -208,6 +229,9 @@ class Transport:
                 self.first += seen
                 self._receive(seen)
                 self.ahead[:, part] = 0.0
+            if self.island.any():
+                here, there = rows.links(self.island, first)
+                self.island = components(int(self.island.max()) + 1, here, there)[self.island]
             power = self.unshot[:, part]
             self.unshot[:, part] = 0.0
             arrived, escaped = rows.shoot(power, first)
@@ -234,8 +258,8 @@ class Transport:
                 arriving[:, sides] = values
                 return self.direct[:, sides] + rows.gather(surfaces.found + surfaces.send(arriving), self.sky[:, 0])
 
-            largest = surfaces.returned[:, sides].max(axis=1)
-            values, sweeps, bound = fixed_point(update, irradiance[:, sides], largest, self.area[sides], target)
+            start, largest = irradiance[:, sides], surfaces.returned[:, sides]
+            values, sweeps, bound = fixed_point(update, start, largest, self.area[sides], target, self.island[sides])
             irradiance[:, sides] = values
         sent = self.area * (surfaces.found + surfaces.send(irradiance))
         arrived, escaped = rows.shoot(sent[:, sides])
@@ -247,24 +271,35 @@ class Transport:
         return irradiance, sweeps, bound
 
     def missing(self):
-        """Bounds on the power that has not arrived yet, as shares of the power emitted: what sides with rows have not
-        shot, and sides without. Light u still to be shot adds at most g / (1 - g) u, g the largest share that a side
-        sends on (power norm: what a row sends sums to at most 1)."""
-        g = self.surfaces.returned.max(axis=1, initial=0.0)
-        unshot = np.abs(self.unshot)
-        everywhere, inside = unshot.sum(axis=1), unshot[:, self.rows.sides].sum(axis=1)
-        ahead = self.ahead.sum(axis=1)
-        emitted = max((self.emitted + ahead).sum(), 1e-300)
-        outside = (everywhere - inside) * g / (1 - g) + ahead / (1 - g)
-        return (inside * g / (1 - g)).sum() / emitted, max(outside.sum(), 0.0) / emitted
+        """Bounds on the power that has not arrived yet, as shares of the power emitted, in the island where most is
+        missing: what sides with rows have not shot, and sides without. Light u still to be shot adds at most
+        g / (1 - g) u, g the largest share that a side sends on (power norm: what a row sends sums to at most 1)."""
+        returned, unshot = self.surfaces.returned, np.abs(self.unshot)
+        shared = self._sums(unshot)
+        inside = self._sums(np.where(self.rows.kept, unshot, 0.0))
+        ahead = self._sums(self.ahead)
+        g = _over_parts(np.maximum, returned, self.island)
+        there = self._there()
+        outside = (shared - inside) * g / (1 - g) + ahead / (1 - g)
+        inside = (inside * g / (1 - g)).sum(axis=0) / there
+        return float(inside.max(initial=0.0)), float(np.maximum(outside.sum(axis=0) / there, 0.0).max(initial=0.0))
+
+    def _sums(self, power):
+        """(C, I) sums of power (C, 2 N) over each island."""
+        return np.stack([np.bincount(self.island, channel) for channel in power])
+
+    def _there(self):
+        """(I,) power emitted in each island; where there is none, in all."""
+        power = self._sums(self.own + self.first + self.ahead).sum(axis=0)
+        return np.where(power > 0, power, max(power.sum(), 1e-300))
 
     def energy(self):
-        """{name: W} where the power has gone, sums of the channels."""
+        """{name: W} where the power has gone, sums of red, green and blue (one channel stands for all three)."""
         return {
-            "emitted_w": float(self.emitted.sum()),
-            "absorbed_w": float(self.absorbed.sum()),
-            "escaped_w": float(self.escaped.sum()),
-            "unshot_w": float(self.unshot.sum()),
+            "emitted_w": float(self.emitted.mean() * 3),
+            "absorbed_w": float(self.absorbed.mean() * 3),
+            "escaped_w": float(np.mean(self.escaped) * 3),
+            "unshot_w": float(self.unshot.sum(axis=1).mean() * 3),
         }
 
     def _receive(self, power):
@@ -272,27 +307,46 @@ class Transport:
         self.unshot += self.surfaces.send(power)
 
 
-def fixed_point(update, values, largest, weight, target):
-    """Solve values = update(values) for an affine update with row sums of at most `largest` (C,) < 1.
+def fixed_point(update, values, returned, weight, target, island=None):
+    """Solve values = update(values) for an affine update with row sums of at most the largest of `returned` (C, K) < 1.
 
-    values: (C, K) start, weight: (K,). Returns values, the number of updates, and the certified bound on the largest
-    error as a share of the weighted mean: if an update changes nothing by more than r, nothing is off by more than
-    g / (1 - g) r. Updates alone converge by g a step; in between, the last few changes are combined so that the
-    residual is least (GMRES, Saad and Schultz 1986), which cannot diverge.
+    values: (C, K) start, weight: (K,). island: (K,) number of the part that each value belongs to; no part depends on
+    another. Returns values, the number of updates, and the certified bound on the largest error in any part as a share
+    of the part's weighted mean: if an update changes nothing by more than r, nothing is off by more than g / (1 - g) r,
+    g the part's largest row sum. Updates alone converge by g a step; in between, the last few changes are combined so
+    that the residual is least (GMRES, Saad and Schultz 1986), which cannot diverge.
     """
-    count = 0
+    island = np.zeros(values.shape[1], np.int64) if island is None else np.unique(island, return_inverse=True)[1]
+    largest = _over_parts(np.maximum, returned, island)
+    gain = largest / (1 - largest)
+    size = np.bincount(island, weight)
+    count, scale = 0, np.ones_like(values)
+
+    def scaled_update(x):
+        return update(scale * x) / scale
+
     while True:
         updated = update(values)
         count += 1
-        change = updated - values
-        mean = (weight * np.abs(updated)).sum(axis=1) / weight.sum()
-        error = largest / (1 - largest) * np.abs(change).max(axis=1)
-        bound = float(np.divide(error, mean, out=np.zeros_like(error), where=mean > 0).max())
+        mean = np.stack([np.bincount(island, weight * np.abs(channel)) for channel in updated]) / size
+        error = gain * _over_parts(np.maximum, np.abs(updated - values), island)
+        bound = float(ratio(error, mean).max())
         if bound <= target or count >= SWEEPS:
             return updated, count, bound
-        step, used = _least_residual(update, values, updated, target / max(bound, 1e-300))
-        values = values + step
+        if count == 1:  # every channel and part counts by its own light, however dim it is beside the others
+            scale[:] = np.where(mean > 0, mean, 1.0)[:, island]
+        goal = target / max(bound, 1e-300)
+        step, used = _least_residual(scaled_update, values / scale, updated / scale, goal)
+        values = values + scale * step
         count += used
+
+
+def _over_parts(best, values, island):
+    """(C, I) the `best` (np.maximum or the like) of values (C, K) >= 0 over each part."""
+    result = np.zeros((len(values), int(island.max(initial=0)) + 1))
+    for part, channel in zip(result, values):
+        best.at(part, island, channel)
+    return result
 
 
 def _least_residual(update, values, updated, goal):
@@ -331,15 +385,20 @@ def _least_residual(update, values, updated, goal):
     return sum(y * b for y, b in zip(share, basis)) + np.zeros_like(residual), len(triangle)
 
 
-def solve(patches, surfaces, sky, cells, settings):
+def solve(patches, surfaces, sky, cells, settings, survey=None):
     """Find the Solution: a generator that yields a Round after every round and returns the Solution.
 
-    sky: (C,) exitance of the world [W/m^2]. cells: started with `kernel.scene_arrays`.
+    sky: (C,) exitance of the world [W/m^2]. survey: the Survey of the scene, if one was made. cells: started with `kernel.scene_arrays`.
     """
     begun = perf_counter()
     count, target = 2 * len(patches), settings.error / 10
     rows = make_rows(count, settings)
-    state = Transport(patches.area, surfaces, light_patches(cells, count, settings), sky, rows)
+    sides, island = np.arange(count), None
+    if survey is not None:
+        island = np.unique(survey.island[patches.polygon].reshape(-1), return_inverse=True)[1].reshape(-1)
+        sides = sides if survey.needs("two-sided") else sides[::2]
+    direct = light_patches(cells, count, settings, sides)
+    state = Transport(patches.area, surfaces, direct, sky, rows, island=island)
     taken, in_flight, rounds, sweeps, shots = np.zeros(count, bool), deque(), [], 0, 0
     settled = False
     while not settled:
@@ -373,14 +432,18 @@ def solve(patches, surfaces, sky, cells, settings):
     )
 
 
-def light_patches(cells, count, settings):
-    """(C, 2 N) direct irradiance of all patch sides."""
+def light_patches(cells, count, settings, sides=None):
+    """(C, 2 N) direct irradiance of all patch sides, or of some of them (K,); the others' is 0."""
+    sides = np.arange(count) if sides is None else sides
     size = max(TASK_RAYS // settings.patch_samples, 1)
     tasks = [
         cells.submit("direct", sides=part, samples=settings.patch_samples, seed=settings.seed)
-        for part in _parts(np.arange(count), size)
+        for part in _parts(sides, size)
     ]
-    return np.concatenate([result["direct"] for result in cells.take(tasks)], axis=1)
+    found = np.concatenate([result["direct"] for result in cells.take(tasks)], axis=1)
+    direct = np.zeros((len(found), count))
+    direct[:, sides] = found
+    return direct
 
 
 def make_rows(count, settings):

@@ -25,15 +25,20 @@ def blocks(count, each):
     return [slice(k, min(k + size, count)) for k in range(0, count, size)]
 
 
+def cast_arrays(scene):
+    """The arrays that cells need to cast rays, as {name: array}."""
+    return {"scene.vertices": scene.vertices, "scene.triangles": scene.triangles, "scene.usable": scene.usable}
+
+
+def transport_arrays(patches, sources, occluded=True):
+    """Those that they need beside them for transport. occluded: something may stand between a source and what it could
+    light; else no ray looks whether it does."""
+    return {**to_arrays("patches", patches), **to_arrays("sources", sources), "occlusion.any": np.array(occluded)}
+
+
 def scene_arrays(scene, patches, sources):
     """The arrays that cells need for transport, as {name: array}."""
-    return {
-        "scene.vertices": scene.vertices,
-        "scene.triangles": scene.triangles,
-        "scene.usable": scene.usable,
-        **to_arrays("patches", patches),
-        **to_arrays("sources", sources),
-    }
+    return {**cast_arrays(scene), **transport_arrays(patches, sources)}
 
 
 class Kernel:
@@ -61,6 +66,11 @@ class Kernel:
     @cached_property
     def sources(self):
         return from_arrays(Sources, "sources", self.arrays)
+
+    @property
+    def occluded(self):
+        """Whether something may stand between a source and what it could light."""
+        return bool(self.arrays["occlusion.any"])
 
     @cached_property
     def points(self):

@@ -6,7 +6,7 @@ source, and the test rays that find how much of it is visible. Lamps never block
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -47,6 +47,10 @@ class Sources:
     def __len__(self):
         return len(self.kind)
 
+    def one_channel(self):
+        """The Sources of a scene without color: one channel, the mean of all."""
+        return replace(self, strength=self.strength.mean(axis=1, keepdims=True))
+
     def only(self, chosen):
         """The Sources that are chosen, (S,) bool."""
         return _joined([self._one(s) for s in np.flatnonzero(chosen)])
@@ -74,6 +78,36 @@ def make_sources(scene):
         exitance = scene.materials[scene.polygon_material[polygons[0]]].exitance
         found.append(_source(FLAT, exitance, corners.mean(axis=0), _normal(corners), two_sided=True, corners=corners))
     return _joined(found), sampled
+
+
+def emitting_polygons(scene):
+    """(K,) polygons that emit light and have an area."""
+    bright = np.array([max(m.exitance) > 0 for m in scene.materials], bool)[scene.polygon_material]
+    if scene.readings is not None:
+        bright[scene.triangle_polygon[scene.readings.triangle[scene.readings.exitance.max(axis=1) > 0]]] = True
+    whole = np.zeros(len(bright), bool)
+    whole[scene.triangle_polygon[scene.usable]] = True
+    return np.flatnonzero(bright & whole)
+
+
+def lamp_power(lamp):
+    """Power of a lamp [W], in its brightest channel; of a sun what it gives a square meter that faces it."""
+    strength = float(max(lamp.strength))
+    if lamp.kind == "area":
+        return np.pi * strength * lamp.size[0] * lamp.size[1] * (np.pi / 4 if lamp.ellipse else 1.0)
+    if lamp.kind == "spot":
+        return 2 * np.pi * (1.0 - float(np.cos(lamp.angle / 2))) * strength
+    return strength if lamp.kind == "sun" else 4 * np.pi * strength
+
+
+def lamp_outline(lamp):
+    """Corners (V, 3) around a lamp [m], and None; of a sun the sine of its half angle, and the direction (3,) to it."""
+    x, y, z = np.asarray(lamp.axes, float)
+    if lamp.kind == "sun":
+        return float(np.sin(min(lamp.angle, np.pi) / 2)), z
+    signs = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)], float)
+    half = (lamp.size[0] / 2, lamp.size[1] / 2, 0.0) if lamp.kind == "area" else (lamp.radius,) * 3
+    return np.asarray(lamp.position, float) + np.einsum("vk,kd->vd", signs * half, np.stack([x, y, z])), None
 
 
 def unoccluded(sources, s, position, normal):
@@ -107,14 +141,14 @@ def unoccluded(sources, s, position, normal):
     return factor
 
 
-def patch_irradiance(sources, caster, centroid, position, normal, a, b):
+def patch_irradiance(sources, caster, centroid, position, normal, a, b, occluded=True):
     """(K, C) mean direct irradiance [W/m^2] of K patches, from their centroids (K, 3) and places (K, n, 3) on them; and
     (K,) bool, patches so near a source, or so curved, that their places do not all get the same.
 
     From each place one test ray goes to the place a, b (K, n) of every source. normal: (K, 1 or n, 3) at the places; the
     centroids take the first one. A source gives Lambert's
     exact factor times the visible share, sum(weight seen) / sum(weight) over the test rays: with weights left out, or
-    a single ray, a source seen at a grazing angle comes out too dark.
+    a single ray, a source seen at a grazing angle comes out too dark. occluded: without it, no ray is needed.
     """
     count, places = a.shape
     total = np.zeros((count, sources.strength.shape[1]))
@@ -133,6 +167,9 @@ def patch_irradiance(sources, caster, centroid, position, normal, a, b):
             uneven[near] |= factor[near] > 0
         lit = np.flatnonzero(factor > 0)
         if not len(lit):
+            continue
+        if not occluded:
+            total[lit] += factor[lit, None] * sources.strength[s]
             continue
         place, each, origin = (x[lit].reshape(-1, 3) for x in (position, normal, start))
         weight, seen = test_rays(sources, s, caster, place, each, each, origin, a[lit].reshape(-1), b[lit].reshape(-1))
@@ -202,7 +239,8 @@ def _source(kind, strength, position, direction, two_sided=False, radius=0.0, so
 
 def _joined(found):
     """One `Sources` of many."""
-    found = [_source(FLAT, (0,) * 3, (0,) * 3, (0,) * 3)] + found  # gives an empty list its shapes
+    strength = found[0].strength[0] if found else (0,) * 3
+    found = [_source(FLAT, strength, (0,) * 3, (0,) * 3)] + found  # gives an empty list its shapes
     joined = {f.name: np.concatenate([getattr(s, f.name) for s in found])[1:] for f in fields(Sources)}
     sizes = [len(s.corner) for s in found]
     joined.update(corner_start=np.cumsum(sizes).astype(np.int32), corner=np.concatenate([s.corner for s in found]))

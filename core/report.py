@@ -71,9 +71,7 @@ def make_report(bake, *, scene, version, layers, domain, start, read, write):
         "version": version,
         "cells": cells["count"],
         "seed": bake.settings.seed,
-        "effects": [dict(name=e.name, needed=e.needed, reason=e.reason, seconds=e.seconds) for e in bake.survey.effects],
-        "ignored": [dict(object=o, reason=r) for o, r in bake.survey.ignored],
-        "health": [dict(object=f.object, finding=f.finding, action=f.action) for f in bake.survey.health],
+        **_of_survey(bake.survey),
         "patches": len(bake.patches),
         "output_points": len(bake.points),
         "rays": bake.rays,
@@ -102,6 +100,30 @@ def make_report(bake, *, scene, version, layers, domain, start, read, write):
         "layers": list(layers),
         "objects": [dict(name=n, points=c, domain=domain, error=None) for n, c in counts],
     }  # fmt: skip
+
+
+def survey_report(found, *, scene, version, settings, read, survey):
+    """The report of a Survey alone; what only a bake can tell is null. read, survey: seconds."""
+    report = {**_blank(SCHEMA), **_of_survey(found), "scene": scene, "version": version, "seed": settings.seed}
+    report["seconds"].update(read=read, survey=survey, total=read + survey)
+    report["error"]["requested"] = settings.error
+    return report
+
+
+def _of_survey(found):
+    """The fields of a report that a Survey fills."""
+    return {
+        "effects": [dict(name=e.name, needed=e.needed, reason=e.reason, seconds=e.seconds) for e in found.effects],
+        "ignored": [dict(object=o, reason=r) for o, r in found.ignored],
+        "health": [dict(object=f.object, finding=f.finding, action=f.action) for f in found.health],
+    }
+
+
+def _blank(schema):
+    """A document that fits a schema and says nothing."""
+    if schema.get("type") == "object":
+        return {name: _blank(field) for name, field in schema["properties"].items()}
+    return [] if schema.get("type") == "array" else None
 
 
 def write_json(report, path):

@@ -156,7 +156,8 @@ def _light(kernel, sides, samples, seed):
     """What `patch_irradiance` says of patch sides (K,)."""
     a, b, *place = _shifted(sides, samples, seed, DIRECT)
     position, normal = _places(kernel, sides, *place)
-    return patch_irradiance(kernel.sources, kernel.caster, kernel.patches.centroid[sides >> 1], position, normal, a, b)
+    centroid = kernel.patches.centroid[sides >> 1]
+    return patch_irradiance(kernel.sources, kernel.caster, centroid, position, normal, a, b, kernel.occluded)
 
 
 def _row_rays(kernel, sides, rays, seed):

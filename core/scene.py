@@ -66,6 +66,11 @@ class World:
 
     radiance: tuple = BLACK
 
+    @property
+    def brightest(self):
+        """The largest radiance in any direction and channel."""
+        return float(max(self.radiance))
+
 
 @dataclass(frozen=True)
 class Mesh:
@@ -110,6 +115,7 @@ class Scene:
     polygon_object: (P,) int. corner_normal is always given here. written: (O,) bool, objects whose light is asked for.
     textures: tuple of surfaces.Texture; corner_uv: (C, 2) where each corner lies in its material's texture.
     readings: a surfaces.Readings of colors that replace those of the materials.
+    shared: (O,) int number of the mesh that each object is a copy of; None: each has its own.
     health: findings, and ignored: (object, reason) pairs, of whoever read the scene.
     """
 
@@ -129,6 +135,7 @@ class Scene:
     textures: tuple = ()
     corner_uv: np.ndarray | None = None
     readings: object | None = None
+    shared: np.ndarray | None = None
     health: tuple = ()
     ignored: tuple = ()
     name: str = "scene"

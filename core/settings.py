@@ -6,6 +6,11 @@ from dataclasses import dataclass
 
 PRESETS = {"draft": 0.10, "good": 0.02, "fine": 0.005}  # relative errors
 
+# Effects of light that a scene may or may not call for, in the order of reports.
+EFFECTS = (
+    "occlusion", "interreflection", "color", "lamps", "emission", "sky", "textures", "two-sided", "transparency",
+    "instances", "islands",
+)  # fmt: skip
 SCHEDULES = ("dynamic", "paper")
 GATHER_RAYS = ((0.08, 8), (0.04, 16), (0.015, 48), (0.0075, 128), (0.0, 384))  # from this error up, so many
 
@@ -18,7 +23,7 @@ class Settings:
     of the scene's diagonal; None makes every polygon one patch. row_rays: of a form-factor row. patch_samples: places
     on a patch where its direct light is tested. gather_rays: of a point. side: whose light is asked for, of each
     face: "front", "back" or "lit" (the one that gets more). schedule: "dynamic" or "paper"; rows: "rays" or "analytic",
-    the estimator of form-factor rows. memory: what host and cells together may use [bytes].
+    the estimator of form-factor rows. force: effects that are simulated although nothing calls for them. memory: what host and cells together may use [bytes].
     """
 
     error: float = PRESETS["good"]
@@ -31,6 +36,7 @@ class Settings:
     rows: str = "rays"
     memory: float = 2e9
     side: str = "front"
+    force: tuple = ()
 
     @classmethod
     def for_error(cls, error, **others):

@@ -6,7 +6,7 @@ Transport sees the mean over each patch; a layer that shows the surface's own co
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -30,6 +30,16 @@ class Surfaces:
     translucency: np.ndarray
     sampled: np.ndarray
     found: np.ndarray
+
+    def one_channel(self):
+        """The Surfaces of a scene without color: one channel, the mean of all."""
+        return Surfaces(
+            *(x.mean(axis=0, keepdims=True) for x in (self.reflectance, self.translucency, self.sampled, self.found))
+        )
+
+    def reflecting(self, sides):
+        """The Surfaces with only some sides (2 N,) bool reflecting light."""
+        return replace(self, reflectance=self.reflectance * sides, translucency=self.translucency * sides)
 
     @property
     def exitance(self):
@@ -63,6 +73,11 @@ class Texture:
     name: str
     pixels: np.ndarray
     repeat: bool = True
+
+    @cached_property
+    def mean(self):
+        """(3,) mean color."""
+        return np.einsum("hwc->c", self.pixels.astype(float)) / max(self.pixels[..., 0].size, 1)
 
     def at(self, uv):
         """(K, 3) nearest pixel at uv (K, 2); a uv that is not finite reads as 0."""

@@ -15,7 +15,15 @@ def wait(kernel, seconds, sizes):
     return {str(k): np.zeros(size) for k, size in enumerate(sizes)}
 
 
+def cast(kernel, position, normal, direction):
+    """{"triangle": (K,) int32, "back": (K,) bool}: what rays from just above places on surfaces (K, 3) meet."""
+    caster = kernel.caster
+    triangle, _, _, _, back = caster.hits(caster.start(position, normal), direction.astype(np.float32))
+    return {"triangle": triangle, "back": back}
+
+
 TASKS = {
+    "cast": cast,
     "contacts": find_contacts,
     "direct": light_patches,
     "rows": trace_rows,

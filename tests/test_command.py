@@ -21,6 +21,7 @@ from PIL import Image  # noqa: E402
 from cell_radiosity.addon.arguments import percent  # noqa: E402
 from cell_radiosity.addon.command import main  # noqa: E402
 from cell_radiosity.core.report import SCHEMA  # noqa: E402
+from cell_radiosity.core.settings import EFFECTS  # noqa: E402
 
 from blender_scenes import colors, empty, lamp, plane  # noqa: E402
 
@@ -246,3 +247,24 @@ def test_make_bake_names_a_scene_that_is_there():
     assert (root / "sample_scenes" / "cornell_box.blend").exists()
     assert "sample_scenes/cornell_box.blend -o out/cornell_box.blend" in (root / "Makefile").read_text()
     assert os.access(root / "tools" / "setup.sh", os.X_OK)
+
+
+def test_effects_are_told_before_any_bake(scene, capfd):
+    """The table on stdout, a report of the one schema, and effects forced by name."""
+    report = scene.parent / "effects.json"
+    assert main(["effects", str(scene), "--report", str(report)]) == 0
+    printed = capfd.readouterr().out
+    found = json.loads(report.read_text())
+    jsonschema.validate(found, SCHEMA)
+    assert [e["name"] for e in found["effects"]] == list(EFFECTS)
+    assert all(e["reason"] in " ".join(printed.split()) for e in found["effects"])
+    assert found["seconds"]["survey"] < found["seconds"]["total"]
+    needed = {e["name"]: e["needed"] for e in found["effects"]}
+    assert needed["lamps"]
+    assert not needed["color"]
+    assert main(["effects", str(scene), "--quiet", "--report", str(report), "--force-effects", "color,sky"]) == 0
+    assert capfd.readouterr().out == ""
+    forced = {e["name"]: e["needed"] for e in json.loads(report.read_text())["effects"]}
+    assert {name for name in EFFECTS if forced[name] != needed[name]} == {"color", "sky"}
+    assert main(["effects", str(scene), "--force-effects", "glitter"]) == 2
+    assert "effects are all, occlusion" in capfd.readouterr().err

@@ -125,7 +125,7 @@ def test_fixed_point_keeps_its_bound(rng, largest):
     weight = rng.random(size)
     for target in (1e-1, 1e-3, 1e-6):
         found, count, bound = fixed_point(
-            lambda x: right + x @ matrix.T, np.zeros((1, size)), np.array([largest]), weight, target
+            lambda x: right + x @ matrix.T, np.zeros((1, size)), np.full((1, size), largest), weight, target
         )
         error = np.abs(found[0] - exact).max() / ((weight * found[0]).sum() / weight.sum())
         assert error <= bound * (1 + 1e-6) + 1e-12

@@ -1,0 +1,189 @@
+"""The survey: what a scene calls for, the edge where each decision turns, and that leaving out changes nothing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cell_radiosity.core.cells import LocalCells
+from cell_radiosity.core.effects import survey
+from cell_radiosity.core.settings import EFFECTS
+from cell_radiosity.core.surfaces import Texture
+
+from scenes import Lamp, Material, Mesh, Settings, World, bake, box, icosphere, join_meshes, run, sheet
+
+GRAY, RED = Material("gray", (0.5, 0.5, 0.5)), Material("red", (0.7, 0.2, 0.2))
+PANEL = Lamp("area", (10.0, 10.0, 10.0), position=(0.5, 0.5, 0.9), size=(0.3, 0.3), name="panel")
+
+
+def decided(scene, error=0.02, **settings):
+    """{effect: (needed, reason)}."""
+    found = survey(scene, Settings(error=error, **settings))
+    assert [e.name for e in found.effects] == list(EFFECTS)
+    return {e.name: (e.needed, e.reason) for e in found.effects}
+
+
+def room(*more, lamps=(PANEL,), materials=(GRAY,), world=World(), n=4, **fields):
+    return join_meshes([box(n=n), *more], materials, lamps, world, **fields)
+
+
+def with_vertex(scene, place, to):
+    """A scene with the vertices at a place moved."""
+    vertices = scene.vertices.copy()
+    vertices[(np.abs(vertices - place) < 1e-9).all(axis=1)] = to
+    return replace(scene, vertices=vertices)
+
+
+def test_empty_gray_room_needs_lamps_and_bounces_only():
+    found = decided(room())
+    assert {name for name, (needed, _) in found.items() if needed} == {"lamps", "interreflection"}
+    assert found["lamps"][1] == "1 area"
+    assert "1 reflectance" in found["color"][1]
+    assert "6 planes" in found["occlusion"][1]
+
+
+# Each leave-out, a scene that has it left out, and one at the edge, where it is needed.
+PUSHED = dict(place=(0.5, 0.5, 0.0), to=(0.5, 0.5, 1e-4))
+TURNS = {
+    "a vertex pushed in": ("occlusion", room(), with_vertex(room(), **PUSHED)),
+    "a vertex pulled out": ("occlusion", room(), with_vertex(room(), (0.5, 0.5, 0.0), (0.5, 0.5, -1e-4))),
+    "a lamp above the ceiling": (
+        "occlusion", room(lamps=[replace(PANEL, position=(0.5, 0.5, 1.0))]), room(lamps=[replace(PANEL, position=(0.5, 0.5, 1.001))]),
+    ),
+    "a lamp wider than the room": ("occlusion", room(), room(lamps=[replace(PANEL, size=(1.01, 0.1))])),
+    "a sheet in the room": ("occlusion", room(), room(sheet("sheet", [(0.4, 0.4, 0.5), (0.6, 0.4, 0.5), (0.6, 0.6, 0.5), (0.4, 0.6, 0.5)]))),
+    "a room beside it": ("occlusion", room(), room(box("other", (1.2, 0, 0), (2.2, 1, 1)))),
+    "black walls": (
+        "interreflection", room(materials=[Material("black", (0.003,) * 3)]), room(materials=[Material("coal", (0.006,) * 3)]),
+    ),
+    "a ball over a plane": (
+        "interreflection",
+        join_meshes([sheet("floor", [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)])], [GRAY], [PANEL]),
+        join_meshes([sheet("floor", [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]), box("block", (0.4, 0.4, 0), (0.6, 0.6, 0.2), inward=False)], [GRAY], [PANEL]),
+    ),
+    "a tinted lamp": ("color", room(), room(lamps=[PANEL, replace(PANEL, strength=(10.0, 9.0, 8.0))])),
+    "a tinted wall": ("color", room(), join_meshes([box(n=4, materials={"x": 1})], [GRAY, RED], [PANEL])),
+    "a hue within the error": (
+        "color", room(materials=[Material("almost", (0.5, 0.5, 0.5005))]), room(materials=[Material("hue", (0.5, 0.5, 0.505))]),
+    ),
+    "a lamp that is on": ("lamps", room(lamps=[replace(PANEL, strength=(0, 0, 0))]), room(lamps=[replace(PANEL, strength=(0, 0, 1e-9))])),
+    "a face that glows": ("emission", room(), join_meshes([box(n=4, materials={"Z": 1})], [GRAY, Material("glow", exitance=(1, 1, 1))])),
+    "a window": ("sky", room(world=World((1, 1, 1))), join_meshes([box(n=4, faces="xXyYz")], [GRAY], [PANEL], World((1, 1, 1)))),
+    "a blinding sky": ("sky", room(world=World((1, 1, 1))), room(world=World((1e6, 1e6, 1e6)))),
+    "an image": (
+        "textures",
+        room(materials=[Material("plain", (0, 0, 0), texture=0)], textures=(Texture("plain", np.full((4, 4, 3), 0.5, np.float32)),)),
+        room(materials=[Material("image", (0, 0, 0), texture=0)], textures=(Texture("image", np.tile(np.linspace(0.4, 0.5, 4, dtype=np.float32)[:, None, None], (1, 4, 3))),)),
+    ),
+    "a wall turned round": (
+        "two-sided", room(), join_meshes([box(n=4, faces="xXyYz"), sheet("lid", [(0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)])], [GRAY], [PANEL]),
+    ),
+    "two rooms": (
+        "islands",
+        join_meshes([box(n=4), box("other", (1, 0, 0), (2, 1, 1), n=4, faces="XyYzZ")], [GRAY], [PANEL]),
+        join_meshes([box(n=4), box("other", (1.2, 0, 0), (2.2, 1, 1), n=4)], [GRAY], [PANEL, replace(PANEL, position=(1.7, 0.5, 0.9))]),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", TURNS)
+def test_decision_turns_at_its_edge(name):
+    effect, without, with_it = TURNS[name]
+    without = replace(without, corner_uv=np.tile(without.vertices[without.corner_vertex][:, :2], 1))
+    with_it = replace(with_it, corner_uv=np.tile(with_it.vertices[with_it.corner_vertex][:, :2], 1))
+    assert not decided(without)[effect][0], decided(without)[effect][1]
+    assert decided(with_it)[effect][0], decided(with_it)[effect][1]
+
+
+def test_walls_of_separate_sheets_are_one_convex_room():
+    """Geometry is judged by position: six sheets that share no vertex are the same room."""
+    sheets = [box(face, n=3, faces=[face]) for face in "xXyYzZ"]
+    found = decided(join_meshes(sheets, [GRAY], [PANEL]))
+    assert not found["occlusion"][0]
+    assert not found["islands"][0]
+
+
+def test_shared_meshes_are_counted():
+    many = [box(str(k), (k + 0.1, 0, 0), (k + 0.3, 0.2, 0.2), inward=False) for k in range(3)]
+    scene = join_meshes([box(), *many], [GRAY], [PANEL], shared=np.array([0, 1, 1, 1]))
+    assert decided(scene)["instances"] == (True, "3 objects share 1 meshes; each is lit by itself")
+    assert not decided(replace(scene, shared=np.arange(4)))["instances"][0]
+
+
+def light_of(scene, **settings):
+    baked = run(bake(scene, Settings(error=0.02, patch_edge=1 / 20, gather_rays=24, **settings), LocalCells()))
+    return baked, np.broadcast_to(baked.light.direct + baked.light.indirect, (3, len(baked.points)))
+
+
+FORCED = {
+    "room": room(),
+    "black room": room(materials=[Material("black", (0.003,) * 3)]),
+    "floor under a sun": join_meshes([sheet("floor", [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], 6, 6)], [GRAY], [Lamp("sun", (3, 3, 3))]),
+    "block under a lamp": join_meshes([box("block", n=3, inward=False)], [GRAY], [replace(PANEL, position=(2.0, 1.0, 3.0))]),
+    "closed room under a sky": room(world=World((0.5, 0.5, 0.5))),
+    "almost gray": room(materials=[Material("almost", (0.5, 0.5, 0.5005))]),
+    "ball": join_meshes([icosphere(splits=2)], [GRAY], [Lamp("point", (1, 1, 1), radius=0.05)]),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FORCED)
+def test_leaving_out_changes_nothing(name):
+    """All effects forced on give the same light to a fifth of the error asked for; forced effects are told apart."""
+    scene = FORCED[name]
+    baked, light = light_of(scene)
+    forced, expected = light_of(scene, force=EFFECTS)
+    assert all(e.needed for e in forced.survey.effects)
+    assert any(e.reason.startswith("forced") for e in forced.survey.effects)
+    assert len(baked.light.direct) == 1
+    assert len(forced.light.direct) == 3
+    area = baked.points.area
+    error = np.sqrt((area * (light - expected) ** 2).sum() / (area * expected**2).sum())
+    assert error < 0.2 * 0.02 + 1e-9
+    if not scene.world.brightest:  # a sky that is left out also shines on the outside of walls
+        assert baked.solution.energy["emitted_w"] == pytest.approx(forced.solution.energy["emitted_w"], rel=5e-3)
+
+
+def test_each_effect_can_be_forced_by_itself():
+    for name in EFFECTS:
+        found = decided(room(), force=(name,))
+        assert found[name][0]
+        assert sum(needed for needed, _ in found.values()) <= 3
+
+
+def test_no_ray_looks_for_shadows_in_a_convex_room():
+    """Rays cast: with nothing that can stand in the way, none toward the lamp."""
+    black = room(materials=[Material("black", (0, 0, 0))])
+    free, _ = light_of(black)
+    tested, _ = light_of(black, force=("occlusion",))
+    survey_rays = LocalCells()
+    survey(black, Settings(), survey_rays)
+    assert free.rays == survey_rays.usage.rays
+    assert tested.rays > free.rays + len(tested.points)
+
+
+@pytest.mark.parametrize("ratio", [1.0, 1e12])
+def test_dim_room_beside_a_bright_one(ratio):
+    """Two rooms that cannot see one another, one lamp so much brighter than the other: each is solved to its own bound."""
+    lamp = replace(PANEL, strength=(1.0, 1.0, 1.0))
+    bright = replace(PANEL, strength=(ratio,) * 3, position=(1.7, 0.5, 0.9))
+    white = Material("white", (0.9,) * 3)
+    scene = join_meshes([box("dim", n=4), box("bright", (1.2, 0, 0), (2.2, 1, 1), n=4)], [white], [lamp, bright])
+    baked, light = light_of(scene)
+    rooms = [light[0][baked.points.object == k] for k in (0, 1)]
+    areas = [baked.points.area[baked.points.object == k] for k in (0, 1)]
+    # In a closed room of one reflectance the mean irradiance is that of the direct light over 1 - reflectance.
+    for values, area, strength in zip(rooms, areas, (1.0, ratio)):
+        direct = baked.light.direct[0][baked.points.object == (strength != 1.0)] if ratio != 1.0 else None
+        if direct is not None:
+            assert (area * values).sum() == pytest.approx((area * direct).sum() / 0.1, rel=0.02)
+    assert (areas[0] * rooms[0]).sum() == pytest.approx((areas[1] * rooms[1]).sum() / ratio, rel=0.02)
+    assert baked.solution.converged
+
+
+def test_survey_of_nothing():
+    found = survey(join_meshes([]))
+    assert not any(e.needed for e in found.effects)
+    broken = Mesh.of_polygons("broken", [(np.nan, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], [[0, 1, 2], [1, 2, 3]])
+    assert survey(join_meshes([broken], lamps=[PANEL])).health[0].object == "broken"
