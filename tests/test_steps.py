@@ -6,9 +6,10 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_scenes import colors, cube, empty, lamp, plane
 from cell_radiosity.addon.job import Job, Options
 from cell_radiosity.core.bake import run
+
+from blender_scenes import colors, cube, empty, lamp, plane
 
 
 @pytest.fixture
