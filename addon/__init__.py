@@ -2,18 +2,19 @@
 
 import bpy
 
-from . import operators, panels, properties, session
+from . import operators, panels, preferences, properties, session, translations
 
-MODULES = (properties, operators, panels)
+MODULES = (preferences, properties, operators, panels)
 CLASSES = tuple(cls for module in MODULES for cls in module.CLASSES)
 
 _commands = []
 
 
 def register():
-    """Register classes, settings, handlers and the `radiosity` command."""
+    """Register words, classes, settings, handlers and the `radiosity` command."""
     from .command import main
 
+    translations.register()
     for cls in CLASSES:
         bpy.utils.register_class(cls)
     properties.attach()
@@ -30,3 +31,4 @@ def unregister():
     properties.detach()
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)
+    translations.unregister()

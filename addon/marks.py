@@ -1,5 +1,7 @@
 """Marks on what a bake makes, so that the next bake replaces it and never reads it as scene."""
 
+import contextlib
+
 KEY = "cell_radiosity"
 
 
@@ -22,3 +24,29 @@ def made_layers(mesh):
     """Names of a mesh's attributes that bakes have written."""
     text = mesh.get(KEY, "")
     return set(text.split(",")) - {""} if isinstance(text, str) else set()
+
+
+def unmark_layers(mesh):
+    """Forget which attributes of a mesh bakes have written."""
+    if KEY in mesh:
+        del mesh[KEY]
+
+
+def hide(scene, names, hidden):
+    """Hide objects of a scene in renders and views, or show them."""
+    for name in names:
+        object = scene.objects.get(name)
+        if object is not None:
+            object.hide_render = object.hide_viewport = hidden
+
+
+@contextlib.contextmanager
+def originals_shown(scene):
+    """While a scene is read, show the objects that are hidden because a copy holds their result."""
+    names = {o.get(f"{KEY}_of") for o in scene.objects if is_made(o)}
+    hidden = [o.name for o in scene.objects if o.name in names]
+    try:
+        hide(scene, hidden, False)
+        yield
+    finally:
+        hide(scene, hidden, True)

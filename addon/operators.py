@@ -1,172 +1,405 @@
-"""The Bake button: a bake that runs beside Blender's window, and the same bake to its end for scripts."""
+"""The buttons: a bake that runs beside Blender's window, and the same bake to its end for scripts; and what is done with
+its result."""
 
 from __future__ import annotations
 
-import threading
-from collections import deque
+from dataclasses import replace
+from time import perf_counter
 
 import bpy
+from bpy.props import EnumProperty, FloatProperty, StringProperty
 
 from ..core.bake import run
+from . import material_setup
 from .errors import Refused
 from .job import Job
+from .marks import is_made, made_layers, unmark_layers
+from .preferences import preference
 from .progress import progress_text
+from .running import RunningBake
 from .session import Session
+from .translations import tr, tr_message
+from .viewport import (
+    baked_meshes,
+    layers_of,
+    middle_exposure,
+    redraw,
+    restore_views,
+    show,
+    show_in_views,
+)  # fmt: skip
+from .write_result import remove_copy
 
-TICK = 0.05  # seconds between looks at the running bake
-
-
-class RunningBake:
-    """A job's bake in a thread of its own, which never touches Blender: numpy and pipes alone."""
-
-    def __init__(self, job):
-        self.job = job
-        self.progress = deque(maxlen=1)
-        self.error = None
-        self._cancelled = threading.Event()
-        self._thread = threading.Thread(target=self._work, name="radiosity bake", daemon=True)
-        self._thread.start()
-
-    @property
-    def done(self):
-        return not self._thread.is_alive()
-
-    def cancel(self):
-        """Stop the bake and wait until it has stopped."""
-        self._cancelled.set()
-        self._thread.join()
-
-    def _work(self):
-        try:
-            baking = self.job.bake()
-            while not self._cancelled.is_set():
-                try:
-                    self.progress.append(next(baking))
-                except StopIteration:
-                    return
-            baking.close()
-        except Exception as error:
-            self.error = error
+TICK = 0.02  # seconds between looks at the running bake
+STEP = 0.03  # seconds of reading or writing between two of Blender's own turns
+REFRESH = 0.5  # seconds between two updates of the light in the viewport ...
+SHARE = 10  # ... and at least so many times as long as one takes
+PANEL = 0.2  # seconds between two updates of the panel
 
 
-class RADIOSITY_OT_bake(bpy.types.Operator):
-    """Bake the light of the scene into color attributes"""
+class _Idle:
+    """Operators that wait until no bake runs."""
+
+    @classmethod
+    def poll(cls, context):
+        if Session.running is not None:
+            cls.poll_message_set(tr("A bake is running"))
+            return False
+        return True
+
+
+class RADIOSITY_OT_bake(_Idle, bpy.types.Operator):
+    """Bake the light of the scene; Esc ends it early and keeps the light that is there"""
 
     bl_idname = "radiosity.bake"
     bl_label = "Bake Radiosity"
     bl_options = {"UNDO"}
 
+    error: FloatProperty(
+        name="Error",
+        description="Relative error to reach, in percent; 0 takes the accuracy chosen in the panel",
+        default=0.0, min=0.0, max=100.0, options={"SKIP_SAVE"},
+    )  # fmt: skip
+
     @classmethod
     def poll(cls, context):
         if context.mode != "OBJECT":
-            cls.poll_message_set("Leave Edit Mode first: the colors are written in Object Mode")
+            cls.poll_message_set(tr("Go to Object Mode first: colors are written there"))
             return False
-        if Session.running is not None:
-            cls.poll_message_set("A bake is running")
-            return False
-        return True
+        return super().poll(context)
+
+    def _options(self, context):
+        options = context.scene.radiosity.options(context)
+        return replace(options, error=self.error / 100) if self.error else options
 
     def execute(self, context):
         """Bake to the end, blocking: in background and from scripts."""
         try:
-            job = Job(context, context.scene.radiosity.options(context), cells=Session.warm_cells())
+            job = Job(context, self._options(context), cells=Session.warm_cells(preference("cells")))
             run(job.bake())
             job.write(context)
         except Refused as problem:
-            self.report({"ERROR"}, str(problem))
+            self.report({"ERROR"}, tr_message(str(problem)))
             return {"CANCELLED"}
-        self._tell(job)
+        self._finish_job(context, job)
         return {"FINISHED"}
 
     def invoke(self, context, event):
         if bpy.app.background:
             return self.execute(context)
-        try:
-            job = Job(context, context.scene.radiosity.options(context), cells=Session.warm_cells())
-        except Refused as problem:
-            self.report({"ERROR"}, str(problem))
-            return {"CANCELLED"}
-        Session.running = self._bake = RunningBake(job)
+        job = Job(context, self._options(context), cells=Session.warm_cells(preference("cells")), read=False)
+        self._running = Session.running = RunningBake(job)
+        self._scene = context.scene.name
+        self._steps = self._bake(context)
         self._timer = context.window_manager.event_timer_add(TICK, window=context.window)
+        self._told = 0.0
         context.window_manager.modal_handler_add(self)
+        redraw(context)
         return {"RUNNING_MODAL"}
 
     def modal(self, context, event):
-        bake = self._bake
-        if Session.running is not bake:
-            return self._finish(context, "CANCELLED")
-        if event.type == "ESC":
-            bake.cancel()
-            self.report({"INFO"}, "Bake cancelled")
-            return self._finish(context, "CANCELLED")
-        if event.type != "TIMER":
-            return {"PASS_THROUGH"}
-        if not bake.done:
-            self._show(context, bake)
+        running = self._running
+        if Session.running is not running:  # another file was opened, or the add-on disabled
+            return self._end(context, "CANCELLED")
+        if event.type == "ESC" and event.value == "PRESS" and not running.waiting:
+            running.cancel()
             return {"RUNNING_MODAL"}
-        if bake.error is not None:
-            self.report({"ERROR"}, str(bake.error))
-            return self._finish(context, "CANCELLED")
-        if context.mode != "OBJECT":
-            self._say(context, 1.0, "Leave Edit Mode to see the result")
-            return {"PASS_THROUGH"}
-        try:
-            bake.job.write(context)
-        except Refused as problem:
-            self.report({"ERROR"}, str(problem))
-            return self._finish(context, "CANCELLED")
-        show_layer(context)
-        self._tell(bake.job)
-        return self._finish(context, "FINISHED")
+        if event.type == "TIMER":
+            try:
+                next(self._steps)
+            except StopIteration as end:
+                return self._end(context, end.value)
+            except Exception as problem:  # whatever it was: the window must not stay in a bake that has ended
+                running.drop()
+                self.report({"ERROR"}, tr_message(str(problem) or type(problem).__name__))
+                return self._end(context, "CANCELLED")
+            self._tell(context)
+        # While the scene is read or written step by step, nobody may change it between two steps.
+        return {"RUNNING_MODAL"} if running.phase != "bake" else {"PASS_THROUGH"}
 
     def cancel(self, context):
         """Called by Blender when it quits, opens another file or closes the window."""
         Session.end()
 
-    def _show(self, context, bake):
-        if bake.progress:
-            progress = bake.progress[-1]
-            self._say(context, progress.done, progress_text(progress))
+    def _bake(self, context):
+        """The whole bake in short steps: a generator that gives Blender its turn at each yield, and returns the operator's
+        result."""
+        running, job = self._running, self._running.job
+        yield from self._read(context, job)
+        if running.cancelled:
+            return "CANCELLED"
+        running.start()
+        yield from self._watch(context)
+        if running.error is not None:
+            raise running.error
+        if job.colors is None:
+            self.report({"INFO"}, tr_message("Bake cancelled before there was any light"))
+            return "CANCELLED"
+        yield from self._wait(context)
+        if running.cancelled and running.waiting:
+            return "CANCELLED"
+        running.phase, running.waiting = "write", ""
+        yield from _in_steps(job.writing(context))
+        self._finish_job(context, job, running.partial)
+        return "FINISHED"
 
-    def _say(self, context, done, text):
-        """Show a text in the status bar and the panel."""
-        settings = context.scene.radiosity
-        settings.progress, settings.status = done, text
-        context.workspace.status_text_set(f"Radiosity: {text}   [Esc] cancel")
+    def _read(self, context, job):
+        """Read the scene in steps; if anything changes it between two of them, anew and in one."""
+        reading = job.reading(context, step=STEP)
+        for _ in reading:
+            before = Session.edits, context.scene.frame_current
+            yield
+            if (Session.edits, context.scene.frame_current) != before:
+                reading.close()
+                run(job.reading(context))
+
+    def _wait(self, context):
+        """Wait until the light can be written; Cancel ends the waiting, and the light is lost."""
+        running = self._running
+        while running.waiting or self._hindrance(context):
+            if not running.waiting:
+                running.listen()
+            running.waiting = self._hindrance(context)
+            if running.cancelled:
+                return
+            if running.waiting:
+                yield
+
+    def _watch(self, context):
+        """Show the light while it comes: a generator that ends with the bake."""
+        running = self._running
+        next_light = 0.0
+        while not running.done:
+            yield
+            if perf_counter() < next_light or running.cancelled:
+                continue
+            running.want_light()
+            colors = running.take_light()
+            if colors is None or self._hindrance(context):
+                continue
+            spent = 0.0
+            painting = _in_steps(self._paint(context, colors))
+            while True:
+                begun = perf_counter()
+                done = next(painting, self) is self
+                spent += perf_counter() - begun
+                if done or self._hindrance(context):
+                    break
+                yield
+            show_in_views(context, force=next_light == 0)
+            next_light = perf_counter() + max(REFRESH, SHARE * spent)
+
+    def _paint(self, context, colors):
+        """Show the light so far, object by object."""
+        yield from self._running.job.writing(context, colors)
+        exposure = context.scene.radiosity.exposure
+        if exposure:
+            show(context.scene, next(iter(colors)), exposure)
+
+    def _hindrance(self, context):
+        """Why the light cannot be written now, or ""."""
+        if context.scene.name != self._scene and self._scene in bpy.data.scenes:
+            return "Go back to the scene that was baked to see the result"
+        if context.mode != "OBJECT":
+            return "Go to Object Mode to see the result"
+        return ""
+
+    def _tell(self, context):
+        """Keep the status bar and the panels up to date."""
+        if perf_counter() - self._told < PANEL:
+            return
+        self._told = perf_counter()
+        progress = self._running.progress
+        text = progress_text(progress) if progress else tr("Reading the scene")
+        context.workspace.status_text_set(tr("Radiosity: {}   [Esc] ends it and keeps the light", text))
         redraw(context)
 
-    def _finish(self, context, result):
+    def _end(self, context, result):
+        self._steps.close()
         Session.running = None
         context.window_manager.event_timer_remove(self._timer)
         context.workspace.status_text_set(None)
-        context.scene.radiosity.progress = -1.0
         redraw(context)
         return {result}
 
-    def _tell(self, job):
-        """Say what was found and reached."""
-        survey = job.result.survey
-        for finding in survey.health:
-            self.report({"WARNING"}, f"{finding.object}: {finding.finding}; {finding.action}")
-        seconds = sum(job.result.seconds[k] for k in ("survey", "patches", "transport", "gather"))
-        self.report({"INFO"}, f"Baked {len(job.result.points)} points in {seconds:.1f} s")
+    def _finish_job(self, context, job, partial=False):
+        """Keep what was found and reached, show the light, and say so."""
+        settings = context.scene.radiosity
+        layer = job.options.layers[0]
+        settings.shown = layer
+        if settings.exposure:
+            show(context.scene, layer, settings.exposure)
+        show_in_views(context, force=True)
+        result = settings.result
+        result.clear()
+        result.note_survey(job.result.survey, job.changed)
+        result.points, result.seconds, result.partial = len(job.result.points), job.seconds(), partial
+        if partial:
+            text = tr("Bake ended early: the light so far was kept")
+        else:
+            text = tr("Baked {} points in {} s", result.points, f"{result.seconds:.1f}")
+        count = len(result.health)
+        if count:
+            self.report({"WARNING"}, text + ". " + tr("{} findings: see Health in the panel", count))
+        else:
+            self.report({"INFO"}, text)
 
 
-def show_layer(context):
-    """Let the solid 3D views show the active color attribute as it is."""
-    for area in context.screen.areas:
-        if area.type == "VIEW_3D":
-            shading = area.spaces.active.shading
-            if shading.type == "SOLID":
-                shading.light, shading.color_type = "FLAT", "VERTEX"
+def _in_steps(work):
+    """Drive a generator, giving way only after STEP seconds of work."""
+    begun = perf_counter()
+    for _ in work:
+        if perf_counter() - begun > STEP:
+            yield
+            begun = perf_counter()
 
 
-def redraw(context):
-    """Redraw the 3D views of all windows."""
-    for window in context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                area.tag_redraw()
+class RADIOSITY_OT_cancel(bpy.types.Operator):
+    """End the running bake now, and keep the light that is there"""
+
+    bl_idname = "radiosity.cancel"
+    bl_label = "Cancel"
+
+    @classmethod
+    def poll(cls, context):
+        return Session.running is not None
+
+    def execute(self, context):
+        Session.running.cancel()
+        return {"FINISHED"}
 
 
-CLASSES = (RADIOSITY_OT_bake,)
+class RADIOSITY_OT_choose(_Idle, bpy.types.Operator):
+    """Choose this accuracy for the next bake"""
+
+    bl_idname = "radiosity.choose"
+    bl_label = "Choose Accuracy"
+    bl_options = {"UNDO", "INTERNAL"}
+
+    error: FloatProperty(name="Error", description="Relative error, as a fraction", min=0.0, max=1.0)
+
+    def execute(self, context):
+        context.scene.radiosity.preset = "error"
+        context.scene.radiosity.error = 100 * self.error
+        return {"FINISHED"}
+
+
+class _OfResult(_Idle):
+    """Operators on a result."""
+
+    @classmethod
+    def poll(cls, context):
+        if context.mode != "OBJECT":
+            cls.poll_message_set(tr("Go to Object Mode first"))
+            return False
+        if not any(o.type == "MESH" and layers_of(o.data) for o in context.scene.objects):
+            cls.poll_message_set(tr("Nothing is baked yet"))
+            return False
+        return super().poll(context)
+
+
+class RADIOSITY_OT_show_layer(_OfResult, bpy.types.Operator):
+    """Show this layer in the Solid 3D views"""
+
+    bl_idname = "radiosity.show_layer"
+    bl_label = "Show Layer"
+    bl_options = {"UNDO"}
+
+    layer: StringProperty(name="Layer", description="Name of the layer", default="Radiosity")
+
+    def execute(self, context):
+        settings = context.scene.radiosity
+        if not any(self.layer in layers_of(mesh) for mesh in baked_meshes(context.scene)):
+            self.report({"ERROR"}, tr("No object has a layer {}", self.layer))
+            return {"CANCELLED"}
+        settings.shown = self.layer
+        show(context.scene, self.layer, settings.exposure)
+        show_in_views(context, force=True)
+        return {"FINISHED"}
+
+
+class RADIOSITY_OT_expose(_OfResult, bpy.types.Operator):
+    """Set the exposure so that the result is neither dark nor burnt out"""
+
+    bl_idname = "radiosity.expose"
+    bl_label = "Automatic Exposure"
+    bl_options = {"UNDO"}
+
+    def execute(self, context):
+        settings = context.scene.radiosity
+        settings.exposure = middle_exposure(context.scene, settings.shown or "Radiosity")
+        show_in_views(context, force=True)
+        return {"FINISHED"}
+
+
+class RADIOSITY_OT_set_up_materials(_OfResult, bpy.types.Operator):
+    """Put the layer that is shown into the materials of the baked objects, with a node that can be taken out again"""
+
+    bl_idname = "radiosity.set_up_materials"
+    bl_label = "Use in Materials"
+    bl_options = {"UNDO"}
+
+    kind: EnumProperty(
+        name="Into",
+        description="Where the layer goes",
+        items=[
+            ("EMISSION", "Emission", "The material shows the baked light as it is, in place of its shader"),
+            ("BASE_COLOR", "Base Color", "The baked light becomes the base color, as exporters for games expect it"),
+        ],
+    )
+
+    def execute(self, context):
+        layer = context.scene.radiosity.shown or "Radiosity"
+        objects = [o for o in context.scene.objects if o.type == "MESH" and layer in layers_of(o.data)]
+        count = material_setup.set_up(objects, layer, self.kind)
+        self.report({"INFO"}, tr("{} materials show {}; Take Out of Materials undoes it", count, layer))
+        return {"FINISHED"}
+
+
+class RADIOSITY_OT_take_out_of_materials(_Idle, bpy.types.Operator):
+    """Take the baked light out of all materials again: they are as they were"""
+
+    bl_idname = "radiosity.take_out_of_materials"
+    bl_label = "Take Out of Materials"
+    bl_options = {"UNDO"}
+
+    def execute(self, context):
+        material_setup.take_out(material_setup.with_set_up())
+        return {"FINISHED"}
+
+
+class RADIOSITY_OT_clear(_OfResult, bpy.types.Operator):
+    """Remove all that bakes have made in this scene: layers, copies, and nodes in materials"""
+
+    bl_idname = "radiosity.clear"
+    bl_label = "Clear Result"
+    bl_options = {"UNDO"}
+
+    def execute(self, context):
+        material_setup.take_out(material_setup.with_set_up())
+        for copy in [o for o in context.scene.objects if is_made(o)]:
+            remove_copy(context.scene, copy)
+        for mesh in baked_meshes(context.scene):
+            for name in made_layers(mesh):
+                attribute = mesh.color_attributes.get(name)
+                if attribute is not None:
+                    mesh.color_attributes.remove(attribute)
+            unmark_layers(mesh)
+            mesh.update()
+        settings = context.scene.radiosity
+        settings.result.clear()
+        settings.shown = ""
+        restore_views(context)
+        return {"FINISHED"}
+
+
+CLASSES = (
+    RADIOSITY_OT_bake,
+    RADIOSITY_OT_cancel,
+    RADIOSITY_OT_choose,
+    RADIOSITY_OT_show_layer,
+    RADIOSITY_OT_expose,
+    RADIOSITY_OT_set_up_materials,
+    RADIOSITY_OT_take_out_of_materials,
+    RADIOSITY_OT_clear,
+)

@@ -1,36 +1,269 @@
-"""The panel in the 3D view's sidebar."""
+"""The panels in the 3D view's sidebar and in the scene's properties: what will be baked, the bake, and what came of it."""
+
+from __future__ import annotations
+
+import textwrap
 
 import bpy
 
+from .job import default_cells
+from .material_setup import with_set_up
+from .preferences import preference
+from .preflight import preflight
 from .session import Session
+from .translations import tr, tr_message
+from .viewport import baked_meshes, layers_of
+
+LETTER = 6.2  # pixels of a letter at a resolution scale of 1, about
+SHOWN = 12  # findings that a list shows; of the rest only the number is told
 
 
-class RADIOSITY_PT_main(bpy.types.Panel):
-    """Accuracy, layers and the Bake button."""
+class _Panel:
+    """Where a panel stands: the sidebar of a 3D view or, in a twin, the scene's properties."""
 
-    bl_label = "Radiosity"
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
     bl_category = "Radiosity"
 
+
+class RADIOSITY_PT_main(_Panel, bpy.types.Panel):
+    """What will be baked, accuracy, layers, the Bake button, and the result."""
+
+    bl_label = "Radiosity"
+    bl_idname = "RADIOSITY_PT_main"
+
     def draw(self, context):
-        settings = context.scene.radiosity
-        layout = self.layout
+        settings, layout = context.scene.radiosity, self.layout
         layout.use_property_split = True
         layout.use_property_decorate = False
+        if Session.running is not None:
+            _draw_running(layout, Session.running)
+            return
+        ready = _draw_preflight(layout, context, settings)
+        _draw_accuracy(layout, settings)
         column = layout.column()
-        column.enabled = Session.running is None
-        column.prop(settings, "preset")
-        if settings.preset == "error":
-            column.prop(settings, "error")
         column.prop(settings, "layers")
         column.prop(settings, "domain")
         column.prop(settings, "selected")
-        column.separator()
-        if Session.running is None:
-            layout.operator("radiosity.bake", text="Bake", icon="LIGHT_SUN")
-        else:
-            layout.progress(factor=max(settings.progress, 0.0), text=settings.status)
+        row = layout.row()
+        row.scale_y = 1.6
+        row.enabled = ready
+        row.operator("radiosity.bake", text="Bake", icon="LIGHT_SUN")
+        _draw_result(layout, settings)
 
 
-CLASSES = (RADIOSITY_PT_main,)
+def _draw_running(layout, running):
+    """The bar, how far the light is, and Cancel."""
+    progress = running.progress
+    column = layout.column()
+    if progress is None:
+        column.progress(factor=0.0, text=tr("Reading the scene"))
+    else:
+        phase = tr("Writing") if running.phase == "write" else tr(PHASES.get(progress.phase, progress.phase))
+        column.progress(factor=min(max(progress.done, 0.0), 1.0), text=f"{phase}  {100 * progress.done:.0f} %")
+        figures = column.column(align=True)
+        figures.label(text=tr("{} s so far, {} million rays", f"{progress.seconds:.1f}", f"{progress.rays / 1e6:.1f}"))
+        if progress.bound is not None:
+            figures.label(text=tr("Light still missing: at most {} %", f"{100 * progress.bound:.2g}"))
+        if progress.error is not None:
+            figures.label(text=tr("Error so far: {} %", f"{100 * progress.error:.2g}"))
+        if progress.left is not None:
+            figures.label(text=tr("About {} s left", f"{progress.left:.0f}"))
+    if running.waiting:
+        _paragraph(layout, tr(running.waiting), "INFO")
+    row = layout.row()
+    row.scale_y = 1.4
+    row.enabled = not running.cancelled
+    row.operator("radiosity.cancel", text="Cancel", icon="CANCEL")
+
+
+PHASES = {
+    "survey": "Surveying",
+    "patches": "Cutting patches",
+    "transport": "Light between patches",
+    "gather": "Light at the points",
+}
+
+
+def _draw_preflight(layout, context, settings):
+    """What will be baked, and what needs a word first; returns whether a bake can start."""
+    look = preflight(context, settings.options(context))
+    row = layout.row()
+    row.label(text=tr("{} objects, {} face corners", look.objects, look.corners), icon="MESH_DATA")
+    if look.problem:
+        _paragraph(layout, tr(look.problem), "ERROR")
+    if look.findings:
+        header, body = layout.panel("radiosity_preflight", default_closed=True)
+        header.label(text=tr("Before the bake: {} notes", len(look.findings)), icon="INFO")
+        if body:
+            _list(body, [(f.object, f.finding, f.action) for f in look.findings])
+    return not look.problem
+
+
+def _draw_accuracy(layout, settings):
+    """The accuracy and, beside it, what each costs."""
+    layout.row().prop(settings, "preset", expand=True)
+    if settings.preset == "error":
+        layout.prop(settings, "error")
+    if settings.prices:
+        column = layout.column(align=True)
+        for price in settings.prices:
+            text = tr(
+                "{} % error: {} s, {} MB", f"{100 * price.error:.2g}", _seconds(price.seconds), f"{price.memory:.0f}"
+            )
+            column.operator("radiosity.choose", text=text).error = price.error
+
+
+def _draw_result(layout, settings):
+    """What the last bake has reached, how it is shown, and the way on."""
+    result = settings.result
+    if result.points < 0:
+        return
+    box = layout.box().column()
+    if result.error >= 0:
+        text = tr("Error {} %, in {} s", f"{100 * result.error:.2g}", _seconds(result.seconds))
+    else:
+        text = tr("Baked in {} s", _seconds(result.seconds))
+    box.label(text=text, icon="ERROR" if result.partial else "CHECKMARK")
+    if result.partial:
+        box.label(text=tr("Cancelled: this is the light so far"))
+    if result.worst:
+        box.label(text=tr("Least exact: {}, {} %", result.worst, f"{100 * result.worst_error:.2g}"))
+
+
+class RADIOSITY_PT_view(_Panel, bpy.types.Panel):
+    """Which layer is shown, how bright, and in materials."""
+
+    bl_label = "Result"
+    bl_idname = "RADIOSITY_PT_view"
+    bl_parent_id = "RADIOSITY_PT_main"
+
+    @classmethod
+    def poll(cls, context):
+        return Session.running is None and any(o.type == "MESH" and layers_of(o.data) for o in context.scene.objects)
+
+    def draw(self, context):
+        settings, layout = context.scene.radiosity, self.layout
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        names = list(dict.fromkeys(name for mesh in baked_meshes(context.scene) for name in layers_of(mesh)))
+        flow = layout.grid_flow(columns=2, align=True)
+        for name in names:
+            flow.operator("radiosity.show_layer", text=name, depress=name == settings.shown).layer = name
+        row = layout.row(align=True)
+        row.prop(settings, "exposure")
+        row.operator("radiosity.expose", text="", icon="LIGHT_DATA")
+        column = layout.column(align=True)
+        column.operator("radiosity.set_up_materials", text="Show as Emission", icon="MATERIAL").kind = "EMISSION"
+        column.operator(
+            "radiosity.set_up_materials", text="Use as Base Color", icon="SHADING_TEXTURE"
+        ).kind = "BASE_COLOR"
+        if with_set_up():
+            column.operator("radiosity.take_out_of_materials", icon="LOOP_BACK")
+        layout.operator("radiosity.clear", icon="TRASH")
+
+
+class RADIOSITY_PT_effects(_Panel, bpy.types.Panel):
+    """The effects of light that the scene calls for, with reasons."""
+
+    bl_label = "Effects"
+    bl_idname = "RADIOSITY_PT_effects"
+    bl_parent_id = "RADIOSITY_PT_main"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context):
+        return Session.running is None and len(context.scene.radiosity.result.effects) > 0
+
+    def draw(self, context):
+        result, layout = context.scene.radiosity.result, self.layout
+        for effect in result.effects:
+            icon = "CHECKBOX_HLT" if effect.needed else "CHECKBOX_DEHLT"
+            _paragraph(layout, f"{tr(effect.name.capitalize())}: {tr_message(effect.reason)}", icon)
+        if result.ignored:
+            layout.label(text="Not simulated:")
+            _list(layout, [(row.name, row.finding, "") for row in result.ignored])
+
+
+class RADIOSITY_PT_health(_Panel, bpy.types.Panel):
+    """What was found wrong with the scene's data, and what was done about it."""
+
+    bl_label = "Health"
+    bl_idname = "RADIOSITY_PT_health"
+    bl_parent_id = "RADIOSITY_PT_main"
+
+    @classmethod
+    def poll(cls, context):
+        return Session.running is None and len(context.scene.radiosity.result.health) > 0
+
+    def draw(self, context):
+        _list(self.layout, [(r.name, r.finding, r.action) for r in context.scene.radiosity.result.health])
+
+
+class RADIOSITY_PT_advanced(_Panel, bpy.types.Panel):
+    """Settings that few need."""
+
+    bl_label = "Advanced"
+    bl_idname = "RADIOSITY_PT_advanced"
+    bl_parent_id = "RADIOSITY_PT_main"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context):
+        return Session.running is None
+
+    def draw(self, context):
+        settings, layout = context.scene.radiosity, self.layout
+        layout.use_property_split = True
+        layout.use_property_decorate = False
+        for name in ("side", "shared", "whole", "patch", "schedule", "rows", "seed"):
+            row = layout.row()
+            row.enabled = name != "patch" or not settings.whole
+            row.prop(settings, name)
+        layout.label(text=tr("{} cells: see the extension's preferences", preference("cells") or default_cells()))
+
+
+def _list(layout, rows):
+    """Rows of (object, finding, action)."""
+    column = layout.column(align=True)
+    for object, finding, action in rows[:SHOWN]:
+        text = f"{object}: {tr_message(finding)}"
+        _paragraph(column, f"{text}; {tr_message(action)}" if action else text, "DOT")
+    if len(rows) > SHOWN:
+        column.label(text=tr("and {} more", len(rows) - SHOWN))
+
+
+def _paragraph(layout, text, icon):
+    """A text on as many lines as it needs."""
+    region, scale = bpy.context.region, bpy.context.preferences.system.ui_scale
+    letters = max(int((region.width if region else 300) / (LETTER * scale)) - 8, 16)
+    column = layout.column(align=True)
+    column.scale_y = 0.8
+    for k, line in enumerate(textwrap.wrap(text, letters)):
+        column.label(text=line, icon="BLANK1" if k else icon, translate=False)
+
+
+def _seconds(seconds):
+    """Seconds as people say them."""
+    return f"{seconds:.0f}" if seconds >= 10 else f"{seconds:.1f}"
+
+
+def _twin(panel):
+    """The same panel in the scene's properties."""
+    names = dict(
+        __doc__=panel.__doc__,
+        bl_idname=panel.bl_idname.replace("_PT_", "_PT_scene_"),
+        bl_space_type="PROPERTIES",
+        bl_region_type="WINDOW",
+        bl_context="scene",
+    )
+    if hasattr(panel, "bl_parent_id"):
+        names["bl_parent_id"] = panel.bl_parent_id.replace("_PT_", "_PT_scene_")
+    else:
+        names["bl_options"] = {"DEFAULT_CLOSED"}
+    own = {k: v for k, v in vars(panel).items() if k in ("draw", "poll", "bl_label", "bl_options")}
+    return type(names["bl_idname"], (bpy.types.Panel,), {**own, **names})
+
+
+SIDEBAR = (RADIOSITY_PT_main, RADIOSITY_PT_view, RADIOSITY_PT_effects, RADIOSITY_PT_health, RADIOSITY_PT_advanced)
+CLASSES = (*SIDEBAR, *(_twin(panel) for panel in SIDEBAR))

@@ -1,26 +1,111 @@
-"""Settings of a bake, kept with each scene."""
+"""Settings of a bake, kept with each scene, and what the last bake of the scene has found and reached."""
+
+from __future__ import annotations
+
+import glob
 
 import bpy
-from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty
+from bpy.props import (
+    BoolProperty,
+    CollectionProperty,
+    EnumProperty,
+    FloatProperty,
+    IntProperty,
+    PointerProperty,
+    StringProperty,
+)  # fmt: skip
 
 from ..core.layers import LAYERS
 from ..core.settings import PRESETS
-from .job import Options
+from .job import NOTHING, Options
+from .preferences import PRESET_ITEMS, preference
+from .viewport import show
+
+PRESET_NAMES = [*(item[0] for item in PRESET_ITEMS), "error"]
+
+
+def _preset(settings):
+    """Number of the accuracy chosen for a scene; until one is, the preferences' default."""
+    return settings.chosen if settings.chosen >= 0 else PRESET_NAMES.index(preference("preset"))
+
+
+def _choose_preset(settings, number):
+    settings.chosen = number
+
+
+def _show(settings, context):
+    """Show the result at the exposure that was just set."""
+    if settings.shown:
+        show(settings.id_data, settings.shown, settings.exposure)
+
+
+class RADIOSITY_PG_effect(bpy.types.PropertyGroup):
+    """An effect of light, and why it was needed or not."""
+
+    needed: BoolProperty()
+    reason: StringProperty()
+
+
+class RADIOSITY_PG_finding(bpy.types.PropertyGroup):
+    """Something that was found about an object, and what was done."""
+
+    finding: StringProperty()
+    action: StringProperty()
+
+
+class RADIOSITY_PG_price(bpy.types.PropertyGroup):
+    """What an accuracy costs."""
+
+    error: FloatProperty()
+    seconds: FloatProperty()
+    memory: FloatProperty()
+
+
+class RADIOSITY_PG_result(bpy.types.PropertyGroup):
+    """What the last bake of a scene has found and reached. Figures that are not known are -1."""
+
+    points: IntProperty(default=-1)
+    seconds: FloatProperty(default=-1.0)
+    error: FloatProperty(default=-1.0)
+    worst: StringProperty()
+    worst_error: FloatProperty(default=-1.0)
+    partial: BoolProperty()
+    effects: CollectionProperty(type=RADIOSITY_PG_effect)
+    health: CollectionProperty(type=RADIOSITY_PG_finding)
+    ignored: CollectionProperty(type=RADIOSITY_PG_finding)
+
+    def clear(self):
+        """Forget the bake."""
+        for name in ("points", "seconds", "error", "worst", "worst_error", "partial"):
+            self.property_unset(name)
+        for found in (self.effects, self.health, self.ignored):
+            found.clear()
+
+    def note_survey(self, survey, changed=()):
+        """Keep the effects and findings of a Survey, and further findings."""
+        for found in (self.effects, self.health, self.ignored):
+            found.clear()
+        for effect in survey.effects:
+            row = self.effects.add()
+            row.name, row.needed, row.reason = effect.name, effect.needed, effect.reason
+        for finding in (*survey.health, *changed):
+            row = self.health.add()
+            row.name, row.finding, row.action = finding.object, finding.finding, finding.action
+        for object, reason in survey.ignored:
+            row = self.ignored.add()
+            row.name, row.finding = object, reason
 
 
 class RADIOSITY_PG_settings(bpy.types.PropertyGroup):
     """What the panel asks of a bake."""
 
+    chosen: IntProperty(options={"HIDDEN"}, default=-1)
     preset: EnumProperty(
         name="Accuracy",
-        description="How far the light may be off",
-        items=[
-            ("draft", "Draft", "10 % error: a first look"),
-            ("good", "Good", "2 % error: noise is hard to see"),
-            ("fine", "Fine", "0.5 % error: for final results"),
-            ("error", "Error", "An error of your own"),
-        ],
-        default="good",
+        description="How far the light may be off, root mean square over the surface, relative to the light itself",
+        items=[*PRESET_ITEMS, ("error", "Error", "An error of your own")],
+        get=_preset,
+        set=_choose_preset,
     )
     error: FloatProperty(
         name="Error",
@@ -29,7 +114,7 @@ class RADIOSITY_PG_settings(bpy.types.PropertyGroup):
     )  # fmt: skip
     layers: EnumProperty(
         name="Layers",
-        description="Color attributes to write",
+        description="Color attributes to write, linear and unbounded",
         items=[
             ("Radiosity", "Radiosity", "What the eye sees: emitted and reflected light"),
             ("Lighting", "Lighting", "The light that arrives, without the surface's own color"),
@@ -50,27 +135,91 @@ class RADIOSITY_PG_settings(bpy.types.PropertyGroup):
     )
     selected: BoolProperty(
         name="Selected Only",
-        description="Write to selected objects only; all visible objects still cast light",
+        description="Write to selected objects only; all visible objects still cast light and shadow",
     )
-    seed: IntProperty(name="Seed", description="Of the sample pattern", default=0, min=0)
+    side: EnumProperty(
+        name="Side",
+        description="The side of each face whose light is baked",
+        items=[
+            ("front", "Front", "The side that the face's normal points to"),
+            ("back", "Back", "The other side"),
+            ("lit", "Lit", "Of each face the side that gets more light"),
+        ],
+        default="front",
+    )
+    shared: EnumProperty(
+        name="Shared Meshes",
+        description="What to do with meshes that several objects share",
+        items=[
+            ("copy", "Copy", "Each object gets a mesh of its own with its light"),
+            ("skip", "Skip", "They are not written; they still cast light and shadow"),
+        ],
+        default="copy",
+    )
+    patch: FloatProperty(
+        name="Longest Patch Edge",
+        description="Patches are cut until no edge is longer, in meters; 0 takes 1/70 of the scene's size, or 1/100 for fine bakes",
+        subtype="DISTANCE", default=0.0, min=0.0, soft_max=10.0,
+    )  # fmt: skip
+    whole: BoolProperty(
+        name="Polygons as Patches",
+        description="Take every polygon of the meshes as one patch, however large it is",
+    )
+    schedule: EnumProperty(
+        name="Schedule",
+        description="How light is shot between patches",
+        items=[
+            ("dynamic", "Dynamic", "Batches in flight, rows that are kept, and a solve: the fast way"),
+            ("paper", "Paper", "The published host and cell algorithm: one row per cell and round"),
+        ],
+        default="dynamic",
+    )
+    rows: EnumProperty(
+        name="Form Factors",
+        description="How the rows of form factors are found",
+        items=[
+            ("auto", "Automatic", "As it goes with the schedule"),
+            ("rays", "Rays", "Stratified rays: right for many small patches"),
+            ("analytic", "Analytic", "Exact factors and shadow rays to every patch: right for few strong ones"),
+        ],
+        default="auto",
+    )
+    seed: IntProperty(name="Seed", description="Another seed takes other samples of the same light", default=0, min=0)
 
-    # How the running bake stands; the panel shows it.
-    progress: FloatProperty(options={"SKIP_SAVE", "HIDDEN"}, default=-1.0)
-    status: bpy.props.StringProperty(options={"SKIP_SAVE", "HIDDEN"})
+    exposure: FloatProperty(
+        name="Exposure",
+        description="Brightness of the result in Solid views, in stops: one more is twice as bright. Baked layers stay as they are",
+        default=0.0, soft_min=-10.0, soft_max=10.0, precision=1, step=10, update=_show,
+    )  # fmt: skip
+    shown: StringProperty(options={"HIDDEN"})
+    result: PointerProperty(type=RADIOSITY_PG_result)
+    prices: CollectionProperty(type=RADIOSITY_PG_price)
 
     def options(self, context):
         """The Options of a bake with these settings."""
-        objects = tuple(o.name for o in context.selected_objects) if self.selected else ()
+        names = (glob.escape(o.name) for o in context.selected_objects if o.type == "MESH")
         return Options(
             error=PRESETS.get(self.preset, self.error / 100),
             layers=tuple(name for name in LAYERS if name in self.layers),
             domain=self.domain,
-            objects=objects,
+            objects=(tuple(sorted(names)) or NOTHING) if self.selected else (),
+            side=self.side,
+            shared=self.shared,
+            max_patch="mesh" if self.whole else self.patch or None,
+            schedule=self.schedule,
+            rows=None if self.rows == "auto" else self.rows,
+            memory=1e9 * preference("memory"),
             seed=self.seed,
         )
 
 
-CLASSES = (RADIOSITY_PG_settings,)
+CLASSES = (
+    RADIOSITY_PG_effect,
+    RADIOSITY_PG_finding,
+    RADIOSITY_PG_price,
+    RADIOSITY_PG_result,
+    RADIOSITY_PG_settings,
+)  # fmt: skip
 
 
 def attach():

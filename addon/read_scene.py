@@ -21,7 +21,8 @@ from ..core.scene import Mesh, World, join_meshes
 from ..core.surfaces import Texture
 from .cycles_read import CannotRead, Unread, read_with_cycles
 from .lamps import read_lamp
-from .marks import is_made
+from .marks import is_made, originals_shown
+from .material_setup import passed_by
 from .materials import NotConstant, read_material, read_pixels, read_world, viewport_material
 
 SOLID = {"MESH", "CURVE", "SURFACE", "META", "FONT"}
@@ -54,9 +55,16 @@ def read_scene(context, wanted=None, shared="copy", spacing=1 / 200):
 def reading_scene(context, wanted=None, shared="copy", spacing=1 / 200, step=inf):
     """`read_scene` in steps of some `step` seconds: a generator that yields between objects. The scene must not change
     meanwhile."""
+    # What earlier bakes have put before the scene steps aside while it is read.
+    with originals_shown(context.scene), passed_by():
+        context.view_layer.update()
+        return (yield from _reading(context, wanted, shared, spacing, step))
+
+
+def _reading(context, wanted, shared, spacing, step):
     depsgraph = context.evaluated_depsgraph_get()
     scene = depsgraph.scene
-    rendered = _rendered(scene)
+    rendered = rendered_names(scene)
     reader = _Reader()
     lamps, placed = [], []
     # Blender's list of instances does not outlive a step: it is walked anew, past the shapes that are known by then.
@@ -290,8 +298,9 @@ class _Reader:
             self.health.append(
                 Finding(object.original.name, text, "the last slot's material was taken, as Blender does")
             )
-        if None in slots and object.material_slots:
-            used = np.isin(index, [k for k, m in enumerate(slots) if m is None]).sum()
+        vacant = [k for k, slot in enumerate(object.material_slots) if slot.material is None]
+        if vacant:
+            used = np.isin(index, vacant).sum()
             if used:
                 text = f"{int(used)} faces have an empty material slot"
                 self.health.append(
@@ -329,8 +338,8 @@ def _shape_key(object):
 
 
 def _slots(object):
-    """The materials of an evaluated object by slot; a slot may hold None."""
-    return [slot.material for slot in object.material_slots]
+    """The materials of an evaluated object by slot; a slot may hold None, or one made to show a bake, which is none."""
+    return [None if s.material is None or is_made(s.material) else s.material for s in object.material_slots]
 
 
 def _values(data, name, count, dtype=np.float32):
@@ -349,7 +358,7 @@ def _polygon_start(mesh):
     return np.append(start, len(mesh.loops)).astype(np.int32)
 
 
-def _rendered(scene):
+def rendered_names(scene):
     """Names of the objects in a collection that is rendered."""
     names = set()
 

@@ -6,8 +6,6 @@ polygons, in a copy of the object, and the original is hidden. What a bake makes
 
 from __future__ import annotations
 
-import contextlib
-
 import bpy
 import numpy as np
 
@@ -15,7 +13,7 @@ from ..core.bake import run
 from ..core.effects import Finding
 from ..core.layers import vertex_means
 from .errors import Refused
-from .marks import KEY, is_made, made_layers, mark, mark_layers
+from .marks import KEY, hide, is_made, made_layers, mark, mark_layers, originals_shown
 
 
 def check_names(targets, layers):
@@ -52,18 +50,6 @@ def writing_result(context, colors, targets, domain):
     return tuple(findings)
 
 
-@contextlib.contextmanager
-def originals_shown(scene):
-    """While a scene is read, show the objects that are hidden because a copy holds their result."""
-    names = {o.get(f"{KEY}_of") for o in scene.objects if is_made(o)}
-    hidden = [o.name for o in scene.objects if o.name in names]
-    try:
-        _hide(scene, hidden, False)
-        yield
-    finally:
-        _hide(scene, hidden, True)
-
-
 def result_copy(scene, name):
     """The copy in a scene that holds the result of the object of a name, or None."""
     return next((o for o in scene.objects if is_made(o) and o.get(f"{KEY}_of") == name), None)
@@ -72,43 +58,10 @@ def result_copy(scene, name):
 def remove_copy(scene, copy):
     """Remove a copy that a bake made in a scene, and show its original again."""
     mesh = copy.data
-    _hide(scene, [copy.get(f"{KEY}_of", "")], False)
+    hide(scene, [copy.get(f"{KEY}_of", "")], False)
     bpy.data.objects.remove(copy)
     if mesh.users == 0:
         bpy.data.meshes.remove(mesh)
-
-
-@contextlib.contextmanager
-def source_mesh(context, target):
-    """The mesh of an object as it is rendered, whose corners are the target's, for a while; a Finding if the object is
-    not what was read."""
-    object = context.scene.objects.get(target.object)
-    if object is None:
-        yield Finding(target.object, "it was deleted during the bake", "its light was dropped")
-        return
-    with originals_shown(context.scene):
-        mesh = _evaluated_mesh(object, context.evaluated_depsgraph_get())
-    try:
-        yield mesh if len(mesh.loops) == target.last - target.first else _changed(target)
-    finally:
-        if mesh.users == 0:
-            bpy.data.meshes.remove(mesh)
-
-
-def copy_with(scene, name, mesh):
-    """A marked copy of the object of a name with a mesh of its own, in place of it and of any older copy."""
-    return _result_copy(scene, scene.objects[name], mesh)
-
-
-def _changed(target):
-    return Finding(target.object, "its mesh was changed during the bake", "its light was dropped: bake it again")
-
-
-def _hide(scene, names, hidden):
-    for name in names:
-        object = scene.objects.get(name)
-        if object is not None:
-            object.hide_render = object.hide_viewport = hidden
 
 
 def _place(context, target):
@@ -117,6 +70,7 @@ def _place(context, target):
     object = scene.objects.get(target.object)
     if object is None:
         return Finding(target.object, "it was deleted during the bake", "its light was dropped")
+    changed = Finding(target.object, "its mesh was changed during the bake", "its light was dropped: bake it again")
     copy = result_copy(scene, target.object)
     corners = target.last - target.first
     if not target.same:
@@ -125,11 +79,11 @@ def _place(context, target):
                 mesh = _evaluated_mesh(object, context.evaluated_depsgraph_get())
             if len(mesh.loops) != corners:
                 bpy.data.meshes.remove(mesh)
-                return _changed(target)
+                return changed
             copy = _result_copy(scene, object, mesh)
         return copy.data
     if len(object.data.loops) != corners or object.mode == "EDIT":
-        return _changed(target)
+        return changed
     if copy is not None:
         remove_copy(scene, copy)
     if object.data.users - object.data.use_fake_user > 1:
@@ -186,5 +140,5 @@ def _result_copy(scene, object, mesh):
     copy[f"{KEY}_of"] = object.name
     for collection in object.users_collection:
         collection.objects.link(copy)
-    _hide(scene, [object.name], True)
+    hide(scene, [object.name], True)
     return copy

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import log
 from time import perf_counter, process_time
@@ -26,7 +27,8 @@ from .surfaces import make_surfaces
 @dataclass(frozen=True)
 class Progress:
     """Where a bake stands. phase: "survey", "patches", "transport" or "gather". done: share of the phase, 0..1. round, bound: of
-    the transport. points: gathered so far. rays: cast so far. seconds: since the bake began. left: seconds, a guess."""
+    the transport. points: gathered so far. rays: cast so far. seconds: since the bake began. left: seconds, a guess.
+    error: estimated so far. take(): the Bake as it stands, as long as it has not gone on; None before there is light."""
 
     phase: str
     done: float
@@ -36,6 +38,8 @@ class Progress:
     bound: float | None = None
     points: int = 0
     left: float | None = None
+    error: float | None = None
+    take: Callable | None = field(default=None, repr=False, compare=False)
 
 
 @dataclass(frozen=True)
@@ -54,16 +58,15 @@ class Bake:
     cells: dict = field(default_factory=dict)
 
 
-def bake(scene, settings, cells, place=None):
-    """Bake a scene: a generator that yields Progress and returns the Bake. cells: any `Cells`; they are left running.
-    place: function of (scene, flipped, cells) that gives the Points; None: the scene's corners."""
+def bake(scene, settings, cells):
+    """Bake a scene: a generator that yields Progress and returns the Bake. cells: any `Cells`; they are left running."""
     try:
-        return (yield from _bake(scene, settings, cells, place))
+        return (yield from _bake(scene, settings, cells))
     finally:
         cells.clear()
 
 
-def _bake(scene, settings, cells, place):
+def _bake(scene, settings, cells):
     clock = _Clock(cells)
     found = survey(scene, settings, cells)
     clock.lap("survey")
@@ -90,7 +93,7 @@ def _bake(scene, settings, cells, place):
     clock.lap("transport")
 
     flipped = _flipped(scene, patches, solution, settings.side)
-    points = place(scene, flipped, cells) if place else make_points(scene, flipped)
+    points = make_points(scene, flipped)
     gathering = gather(points, solution, surfaces, sky, scene.diagonal, cells, settings)
     light = yield from _each(gathering, lambda done: _of_points(*done, clock))
     clock.lap("gather")

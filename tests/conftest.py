@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from cell_radiosity.core.cells import make_cells
+
+import real_blender
 
 
 @pytest.fixture(scope="session")
@@ -19,3 +27,33 @@ def cells():
 @pytest.fixture
 def rng():
     return np.random.default_rng(20261124)
+
+
+@pytest.fixture(scope="session")
+def folder():
+    """A folder that a real Blender sees, with sample scenes in it."""
+    made = Path(tempfile.mkdtemp(prefix="radiosity-"))
+    shutil.copy(real_blender.ROOT / "sample_scenes" / "cornell_box.blend", made / "box.blend")
+    shutil.copy(real_blender.ROOT / "sample_scenes" / "hall.blend", made / "hall.blend")
+    yield made
+    shutil.rmtree(made)
+
+
+@pytest.fixture(scope="session")
+def blender(folder):
+    """The real Blender named in the environment, with the built zip."""
+    if not real_blender.PROGRAM:
+        pytest.skip("BLENDER names no program")
+    return real_blender.RealBlender(folder)
+
+
+@pytest.fixture(scope="session")
+def expected(folder, blender):
+    """{object.layer: values} of the Cornell box, baked by `radiosity bake` of this Python."""
+    out = folder / "module.blend"
+    subprocess.run(
+        [sys.executable, "-m", "cell_radiosity", "bake", folder / "box.blend", "-o", out, "--quiet"], check=True
+    )
+    found = blender.layers(out)
+    assert {"room.Radiosity", "room.Lighting"} <= set(found)
+    return found

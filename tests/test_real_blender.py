@@ -6,86 +6,13 @@ BLENDER in the environment names the program; the zip is in dist/ (make test-ble
 from __future__ import annotations
 
 import json
-import os
 import re
-import shutil
-import subprocess
-import sys
-import tempfile
-from pathlib import Path
 
-import numpy as np
 import pytest
 
-ROOT = Path(__file__).parent.parent
-BLENDER = os.environ.get("BLENDER", "")
-pytestmark = [pytest.mark.blender, pytest.mark.skipif(not BLENDER, reason="BLENDER names no program")]
+from real_blender import same
 
-READ = """
-import bpy, numpy as np, sys
-found = {}
-for o in bpy.data.objects:
-    if o.type == "MESH":
-        for a in o.data.color_attributes:
-            v = np.empty(4 * len(a.data), np.float32)
-            a.data.foreach_get("color", v)
-            found[o.name + "." + a.name] = v
-np.savez(sys.argv[-1], **found)
-"""
-
-
-@pytest.fixture(scope="module")
-def folder():
-    """A folder that Blender sees, with the sample scene in it."""
-    made = Path(tempfile.mkdtemp(prefix="radiosity-"))
-    shutil.copy(ROOT / "sample_scenes" / "cornell_box.blend", made / "box.blend")
-    (made / "read.py").write_text(READ)
-    yield made
-    shutil.rmtree(made)
-
-
-@pytest.fixture(scope="module")
-def blender(folder):
-    """Runs the real Blender, with preferences of its own in which the zip is installed and enabled."""
-    environment = {**os.environ, "BLENDER_USER_RESOURCES": str(folder / "user")}
-    (folder / "user").mkdir()
-
-    def call(*arguments, check=True):
-        done = subprocess.run(
-            [BLENDER, *map(str, arguments)], env=environment, capture_output=True, text=True, cwd=folder, timeout=300
-        )
-        assert not check or done.returncode == 0, done.stdout + done.stderr
-        return done
-
-    (package,) = (ROOT / "dist").glob("*-linux_x64.zip")
-    shutil.copy(package, folder / package.name)
-    call("--command", "extension", "validate", folder / package.name)
-    call("--command", "extension", "install-file", "-r", "user_default", "--enable", folder / package.name)
-    return call
-
-
-def layers(call, path):
-    """{object.layer: values} of a file, as Blender itself reads it."""
-    out = path.with_suffix(".npz")
-    call("-b", path, "--python-exit-code", "7", "--python", path.parent / "read.py", "--", out)
-    with np.load(out) as found:
-        return dict(found)
-
-
-@pytest.fixture(scope="module")
-def expected(folder, blender):
-    """The bake of the same scene by `radiosity bake` of this Python."""
-    out = folder / "module.blend"
-    subprocess.run(
-        [sys.executable, "-m", "cell_radiosity", "bake", folder / "box.blend", "-o", out, "--quiet"], check=True
-    )
-    found = layers(blender, out)
-    assert {"room.Radiosity", "room.Lighting"} <= set(found)
-    return found
-
-
-def same(found, expected):
-    return set(found) == set(expected) and all(np.array_equal(found[k], expected[k]) for k in expected)
+pytestmark = pytest.mark.blender
 
 
 def test_command_gives_the_same_bits_with_the_wheels_of_the_zip(blender, folder, expected):
@@ -102,7 +29,7 @@ def test_command_gives_the_same_bits_with_the_wheels_of_the_zip(blender, folder,
         "--picture",
         folder / "p.png",
     )
-    assert same(layers(blender, out), expected)
+    assert same(blender.layers(out), expected)
     assert json.loads((folder / "r.json").read_text())["cells_restarted"] == 0
     assert (folder / "p.png").stat().st_size > 10_000
     code = "import embreex; print('EMBREEX', embreex.__file__)"
@@ -113,14 +40,14 @@ def test_command_gives_the_same_bits_with_the_wheels_of_the_zip(blender, folder,
 def test_command_on_the_open_file(blender, folder, expected):
     out = folder / "open.blend"
     blender("-b", "box.blend", "--command", "radiosity", "bake", "-o", out)
-    assert same(layers(blender, out), expected)
+    assert same(blender.layers(out), expected)
 
 
 def test_operator_in_background(blender, folder, expected):
     out = folder / "operator.blend"
     code = f"import bpy; assert bpy.ops.radiosity.bake() == {{'FINISHED'}}; bpy.ops.wm.save_as_mainfile(filepath={str(out)!r})"
     blender("-b", "box.blend", "--python-exit-code", "7", "--python-expr", code)
-    assert same(layers(blender, out), expected)
+    assert same(blender.layers(out), expected)
 
 
 def test_without_user_preferences(blender, folder):
@@ -155,7 +82,7 @@ job.close()
 bpy.ops.wm.save_as_mainfile(filepath={str(out)!r})
 """
     blender("-b", "box.blend", "--python-exit-code", "7", "--python-expr", code)
-    assert same(layers(blender, out), expected)
+    assert same(blender.layers(out), expected)
 
 
 def test_enable_and_disable_again(blender):

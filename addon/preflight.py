@@ -1,0 +1,109 @@
+"""What a bake is going to do, said before it is started: how much there is to bake, and what stands in its way."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import bpy
+
+from ..core.effects import Finding
+from .job import NOTHING, wanted_by
+from .marks import is_made, made_layers
+from .read_scene import SOLID, rendered_names
+from .session import Session
+from .write_result import result_copy
+
+LIGHTS = {"LIGHT"}
+
+
+@dataclass(frozen=True)
+class Preflight:
+    """objects, corners: how many meshes and face corners get their light. findings: of objects that need a word, with
+    what will be done. problem: why a bake cannot start, or ""."""
+
+    objects: int
+    corners: int
+    findings: tuple
+    problem: str = ""
+
+
+_last = (None, None)
+
+
+def preflight(context, options):
+    """The Preflight of the context's scene; looked up again only after an edit."""
+    global _last
+    key = (Session.edits, context.scene.name, context.view_layer.name, context.mode, options.objects, options.layers,
+           options.shared, bpy.data.filepath)  # fmt: skip
+    if _last[0] != key:
+        _last = (key, _look(context, options))
+    return _last[1]
+
+
+def _look(context, options):
+    scene, depsgraph = context.scene, context.evaluated_depsgraph_get()
+    rendered = rendered_names(scene)
+    users = Counter(o.data for o in scene.objects if o.type == "MESH")
+    wanted = wanted_by(options.objects)
+    findings, objects, corners, light, shapes = [], 0, 0, _world_shines(scene), 0
+
+    def say(object, finding, action):
+        findings.append(Finding(object.name, finding, action))
+
+    for object in scene.objects:
+        if object.type not in SOLID | LIGHTS or is_made(object) or (object.is_instancer and object.type not in SOLID):
+            continue
+        copy = result_copy(scene, object.name) if object.hide_render else None
+        if copy is None:
+            if object.hide_render or object.name not in rendered:
+                say(object, "it is not rendered", "it is left out: it casts neither light nor shadow")
+                continue
+            if not object.visible_get():
+                say(object, "it is hidden in the viewport", "it is left out: it casts neither light nor shadow")
+                continue
+        shapes += object.type in SOLID
+        light |= object.type == "LIGHT" or _may_shine(object)
+        if object.type != "MESH":
+            continue
+        if wanted is not None and not wanted(object.name):
+            continue
+        mesh = object.data
+        if object.library or not mesh.is_editable:
+            say(object, "its mesh is linked from another file", "its light is not written: make it local to bake it")
+            continue
+        if users[mesh] > 1:
+            if options.shared == "skip":
+                say(object, f"its mesh is shared by {users[mesh]} objects", "its light is not written")
+                continue
+            say(object, f"its mesh is shared by {users[mesh]} objects", "it gets a mesh of its own")
+        if object.mode == "EDIT":
+            say(object, "it is in Edit Mode", "leave Edit Mode to bake")
+        taken = [layer for layer in options.layers if layer in mesh.attributes and layer not in made_layers(mesh)]
+        if taken:
+            say(object, f"it has an attribute {taken[0]!r} that no bake made", "rename it, or leave out that layer")
+        evaluated = (copy or object).evaluated_get(depsgraph).data
+        if copy is not None or len(evaluated.loops) != len(mesh.loops):
+            say(object, "its modifiers change its faces", f"its light is written to a copy, {object.name}_radiosity")
+        objects += 1
+        corners += len(evaluated.loops)
+    problem = ""
+    if not shapes:
+        problem = "There is no mesh to bake"
+    elif not objects:
+        problem = (
+            "No object is selected" if options.objects == NOTHING else "There is no mesh that light can be written to"
+        )
+    elif not light:
+        problem = "Nothing gives light: add a lamp, an emitting material or a world color"
+    return Preflight(objects, corners, tuple(findings), problem)
+
+
+def _world_shines(scene):
+    """Whether a world may give light; what its nodes say is left to the bake."""
+    return scene.world is not None and (scene.world.node_tree is not None or max(scene.world.color) > 0)
+
+
+def _may_shine(object):
+    """Whether an object has a material that may emit light."""
+    return any(slot.material is not None for slot in object.material_slots)

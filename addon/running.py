@@ -1,0 +1,79 @@
+"""A bake beside Blender's window: its work in a thread that never touches Blender, and its light whenever it is asked for."""
+
+from __future__ import annotations
+
+import threading
+
+
+class RunningBake:
+    """The work of a Job in a thread of its own: numpy and pipes alone.
+
+    phase: what the window is at ("read", "bake", "write"). waiting: what it waits for, or "". progress: the last
+    Progress, or None. error: what the work has failed with, or None. partial: it was ended early, with the light that
+    was there.
+    partial: it was ended early, and the job's result is the light that was there.
+    """
+
+    def __init__(self, job):
+        self.job, self.phase, self.waiting = job, "read", ""
+        self.progress = self.error = None
+        self.partial = False
+        self._cancelled, self._dropped, self._wanted = (threading.Event() for _ in range(3))
+        self._shown = None
+        self._thread = threading.Thread(target=self._work, name="radiosity bake", daemon=True)
+
+    def start(self):
+        """Begin, once the scene is read."""
+        self.phase = "bake"
+        self._thread.start()
+
+    @property
+    def done(self):
+        return not self._thread.is_alive()
+
+    @property
+    def cancelled(self):
+        return self._cancelled.is_set()
+
+    def cancel(self):
+        """Ask the work to end early, with the light it has."""
+        self._cancelled.set()
+
+    def listen(self):
+        """Forget that an early end was asked for: what follows can be cancelled anew."""
+        self._cancelled.clear()
+
+    def drop(self):
+        """End the work with nothing, and wait until it has ended."""
+        self._dropped.set()
+        self._cancelled.set()
+        if self._thread.is_alive():
+            self._thread.join()
+
+    def want_light(self):
+        """Ask for the light as it is now."""
+        self._wanted.set()
+
+    def take_light(self):
+        """The light asked for, {layer: (C, 3) color of the scene's corners}, once; None until it is there."""
+        shown, self._shown = self._shown, None
+        return shown
+
+    def _work(self):
+        try:
+            baking = self.job.bake()
+            while not self._cancelled.is_set():
+                try:
+                    self.progress = next(baking)
+                except StopIteration:
+                    return
+                if self._wanted.is_set() and (bake := self.job.so_far(self.progress)):
+                    self._wanted.clear()
+                    self._shown = self.job.colors_of(bake, self.job.options.layers[:1])
+            bake = None if self._dropped.is_set() else self.job.so_far(self.progress)
+            if bake:
+                self.partial = True
+                self.job.keep(bake)
+            baking.close()
+        except Exception as error:
+            self.error = error

@@ -1,0 +1,44 @@
+"""The words of the user interface in other languages, through Blender's own translation system.
+
+Names and tooltips of properties, operators and panels are looked up by Blender itself. Sentences with values in them are
+looked up by `tr`, with {} in place of each value; those that come from the core are written with their numbers, which
+`tr_message` takes out to look them up, and puts back.
+"""
+
+from __future__ import annotations
+
+import re
+
+from bpy.app import translations
+
+from .translations_de import GERMAN
+
+NUMBER = re.compile(r"\d+(?:[.,]\d+)*")
+
+
+def tr(text, *values):
+    """A text of the user interface in the user's language, with values in place of its {}."""
+    return translations.pgettext_iface(text).format(*values) if values else translations.pgettext_iface(text)
+
+
+def tr_message(text):
+    """A sentence with numbers in it in the user's language; as it is, if it is not known there."""
+    numbers = NUMBER.findall(text)
+    pattern = NUMBER.sub("{}", text)
+    found = translations.pgettext_iface(pattern)
+    return text if found == pattern else found.format(*numbers)
+
+
+def register():
+    """Give Blender the words."""
+    languages = {"de_DE": GERMAN, "de": GERMAN}
+    translations.register(
+        __package__,
+        {code: {(context, text): word for text, word in words.items() for context in ("*", "Operator")}
+         for code, words in languages.items()},
+    )  # fmt: skip
+
+
+def unregister():
+    """Take the words back."""
+    translations.unregister(__package__)
