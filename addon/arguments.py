@@ -9,9 +9,8 @@ from ..core.settings import EFFECTS, PRESETS
 from .job import Options
 
 LATER = {
-    "--time": "a time limit", "--target": "lightmaps", "--mesh": "subdivision", "--per-object": "an error per object",
-    "--state": "state files", "--groups": "light groups",
-    "--texels-per-meter": "lightmaps", "--size": "lightmaps", "--uv": "lightmaps", "--max-edge": "subdivision",
+    "--time": "a time limit", "--mesh": "subdivision", "--per-object": "an error per object",
+    "--state": "state files", "--groups": "light groups", "--max-edge": "subdivision",
     "--min-edge": "subdivision", "--contrast": "subdivision", "--vertices": "subdivision", "--in-place": "subdivision",
 }  # fmt: skip
 
@@ -60,6 +59,24 @@ def patch_edge(text):
     if not value > 0:
         raise argparse.ArgumentTypeError(f"{text!r} is neither a length in meters nor 'mesh'")
     return value
+
+
+def positive(text):
+    """A number above 0."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number above 0")
+    return value
+
+
+def whole(text):
+    """A whole number, 1 or more."""
+    if not text.isdigit() or not int(text):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number above 0")
+    return int(text)
 
 
 def count(text):

@@ -10,7 +10,7 @@ import bpy
 from ..core.layers import LAYERS
 from ..core.report import write_json
 from ..core.settings import SCHEDULES
-from .arguments import add_scene_options, count, layers, make_options
+from .arguments import add_scene_options, count, layers, make_options, positive, whole
 from .errors import Refused
 from .files import check_writable, context_of, open_file, place_for, save_file
 from .job import Job
@@ -34,6 +34,17 @@ def add(commands):
     bake.add_argument("--report", metavar="R.json", help="write a report; a folder for several scenes")
     bake.add_argument("--picture", metavar="P.png", help="write a picture of the result; a folder for several scenes")
     add_scene_options(bake)
+    bake.add_argument("--target", choices=("vertex", "lightmap"), default="vertex", help="colors of meshes, or images")
+    maps = bake.add_argument_group("lightmaps")
+    density = maps.add_mutually_exclusive_group()
+    density.add_argument("--texels-per-meter", type=positive, default=16.0, metavar="N", help="density (default: 16)")
+    density.add_argument("--size", type=whole, metavar="N", help="width and height of the images instead")
+    maps.add_argument("--uv", metavar="NAME", help="use this UV map (default: unwrap a triangulated copy)")
+    maps.add_argument(
+        "--atlas", choices=("object", "scene"), default="object", help="an image for each, or one for all"
+    )
+    maps.add_argument("--padding", type=whole, default=2, metavar="N", help="texels between charts (default: 2)")
+    maps.add_argument("--image", choices=("exr", "png"), default="exr", help="32-bit floats, or 16 bits times a scale")
 
 
 def run_bake(arguments):
@@ -75,6 +86,14 @@ def _bake_file(path, arguments, several):
         shared=arguments.shared,
         schedule=arguments.schedule,
         strict=arguments.strict,
+        output=output,
+        target=arguments.target,
+        texels_per_meter=arguments.texels_per_meter,
+        size=arguments.size,
+        uv=arguments.uv,
+        atlas=arguments.atlas,
+        padding=arguments.padding,
+        image=arguments.image,
     )
     job = Job(context, options)
     try:
@@ -86,7 +105,7 @@ def _bake_file(path, arguments, several):
         if picture:
             from .picture import save_picture
 
-            save_picture(context, job.result, picture)
+            save_picture(context, job.result, picture, job.output.picture(job.result))
         if report:
             write_json(job.report(source), report)
     finally:

@@ -10,14 +10,13 @@ from time import perf_counter
 
 from ..core.bake import bake, run
 from ..core.cells import make_cells
-from ..core.layers import layer_colors
 from ..core.lights import emitting_polygons
 from ..core.report import make_report
 from ..core.settings import Settings
 from .errors import Refused
+from .outputs import make_output
 from .read_scene import reading_scene
 from .version import version
-from .write_result import check_names, writing_result
 
 NOTHING = ("",)  # objects that no name fits: a bake of them is refused
 
@@ -26,7 +25,12 @@ NOTHING = ("",)  # objects that no name fits: a bake of them is refused
 class Options:
     """What the user asked for. objects: names or globs of the objects to write, () for all. error: relative. cells,
     memory [bytes]: 0 leaves them to the machine. rows: None takes what the schedule goes with. force: effects that are
-    simulated although the scene does not call for them."""
+    simulated although the scene does not call for them. output: the file that the scene will be saved as, beside which
+    images go.
+
+    Of lightmaps: texels_per_meter, or size of the images; uv: the map to use, None to unwrap; atlas: one for each
+    "object" or for the "scene"; padding: texels between charts; image: "exr" or "png".
+    """
 
     error: float = 0.02
     layers: tuple = ("Radiosity", "Lighting")
@@ -42,6 +46,14 @@ class Options:
     rows: str | None = None
     memory: float = 0.0
     force: tuple = ()
+    output: str = ""
+    target: str = "vertex"
+    texels_per_meter: float = 16.0
+    size: int | None = None
+    uv: str | None = None
+    atlas: str = "object"
+    padding: int = 2
+    image: str = "exr"
 
     def settings(self, diagonal):
         """The core's Settings; diagonal: of the scene [m]."""
@@ -104,7 +116,8 @@ class Job:
         self.cells = cells or make_cells(options.cells or default_cells())
         self._start = start_seconds + perf_counter() - begun
         self._read_seconds = self._write_seconds = 0.0
-        self.scene = self.result = self.colors = None
+        self.scene = self.result = None
+        self.output = make_output(options)
         self.targets, self.changed = (), ()
         if read:
             try:
@@ -128,40 +141,41 @@ class Job:
         emits = len(emitting_polygons(self.scene)) > 0
         if not (self.scene.lamps or emits or self.scene.world.brightest > 0):
             raise Refused("nothing gives light: add a lamp, an emitting material or a world color")
-        check_names(self.targets, self.options.layers)
+        self.output.read(context, self.scene, self.targets)
         self._read_seconds = perf_counter() - begun
 
     def bake(self):
         """The core's bake: yields Progress."""
-        self.result = yield from bake(self.scene, self.options.settings(self.scene.diagonal), self.cells)
-        findings = self.result.survey.health
+        self.result = yield from bake(
+            self.scene, self.options.settings(self.scene.diagonal), self.cells, self.output.place
+        )
+        self.output.compute(self.result)
+        survey = self.result.survey
+        findings = (*survey.health, *self.output.findings)
+        self.result = replace(self.result, survey=replace(survey, health=findings))
         if self.options.strict and findings:
             first = findings[0]
             raise Refused(f"{first.object}: {first.finding} ({len(findings)} findings; --strict)")
-        self.colors = self.colors_of(self.result)
 
     def write(self, context):
         """Write the result into the file's meshes."""
         run(self.writing(context))
 
-    def writing(self, context, colors=None):
+    def writing(self, context):
         """`write` in steps: a generator that yields before each object. `changed` then holds Findings about objects that
-        are no longer what was read. colors: of a light that is still coming; by default those of the result."""
+        are no longer what was read."""
         begun = perf_counter()
-        self.changed = yield from writing_result(context, colors or self.colors, self.targets, self.options.domain)
+        self.changed = yield from self.output.writing(context, self.targets)
         self._write_seconds = perf_counter() - begun
 
     def so_far(self, progress):
         """The core's Bake as a Progress has it, whose light is still coming; None before there is any."""
         return progress.take() if progress and progress.take else None
 
-    def colors_of(self, bake, layers=None):
-        """{layer: (C, 3) colors} of a Bake; by default of all layers asked for."""
-        return {layer: layer_colors(bake, layer) for layer in layers or self.options.layers}
-
     def keep(self, bake):
         """Take a Bake that ended early for the result."""
-        self.result, self.colors = bake, self.colors_of(bake)
+        self.output.compute(bake)
+        self.result = bake
 
     def seconds(self):
         """Seconds of the finished bake, without reading and writing."""
@@ -170,8 +184,9 @@ class Job:
     def report(self, scene):
         """The report of the bake. scene: the file it came from."""
         return make_report(
-            self.result, scene=scene, version=version(), layers=self.options.layers, domain=self.options.domain,
+            self.result, scene=scene, version=version(), layers=self.options.layers, domain=self.output.domain,
             start=self._start, read=self._read_seconds, write=self._write_seconds,
+            lightmaps=self.output.lightmaps,
         )  # fmt: skip
 
     def close(self):

@@ -18,6 +18,7 @@ from .preferences import preference
 from .progress import progress_text
 from .running import RunningBake
 from .session import Session
+from .shown import forget_unused
 from .translations import tr, tr_message
 from .viewport import (
     baked_meshes,
@@ -132,7 +133,7 @@ class RADIOSITY_OT_bake(_Idle, bpy.types.Operator):
         yield from self._watch(context)
         if running.error is not None:
             raise running.error
-        if job.colors is None:
+        if job.result is None:
             self.report({"INFO"}, tr_message("Bake cancelled before there was any light"))
             return "CANCELLED"
         yield from self._wait(context)
@@ -174,11 +175,11 @@ class RADIOSITY_OT_bake(_Idle, bpy.types.Operator):
             if perf_counter() < next_light or running.cancelled:
                 continue
             running.want_light()
-            colors = running.take_light()
-            if colors is None or self._hindrance(context):
+            preview = running.take_light()
+            if preview is None or self._hindrance(context):
                 continue
             spent = 0.0
-            painting = _in_steps(self._paint(context, colors))
+            painting = _in_steps(self._paint(context, preview))
             while True:
                 begun = perf_counter()
                 done = next(painting, self) is self
@@ -189,12 +190,13 @@ class RADIOSITY_OT_bake(_Idle, bpy.types.Operator):
             show_in_views(context, force=next_light == 0)
             next_light = perf_counter() + max(REFRESH, SHARE * spent)
 
-    def _paint(self, context, colors):
+    def _paint(self, context, preview):
         """Show the light so far, object by object."""
-        yield from self._running.job.writing(context, colors)
+        job = self._running.job
+        yield from job.output.painting(context, job.targets, preview)
         exposure = context.scene.radiosity.exposure
         if exposure:
-            show(context.scene, next(iter(colors)), exposure)
+            show(context.scene, job.options.layers[0], exposure)
 
     def _hindrance(self, context):
         """Why the light cannot be written now, or ""."""
@@ -386,6 +388,7 @@ class RADIOSITY_OT_clear(_OfResult, bpy.types.Operator):
                     mesh.color_attributes.remove(attribute)
             unmark_layers(mesh)
             mesh.update()
+        forget_unused()
         settings = context.scene.radiosity
         settings.result.clear()
         settings.shown = ""

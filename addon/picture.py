@@ -15,12 +15,14 @@ BRIGHT = 0.8  # share of the picture that stays below MIDDLE after exposure
 MIDDLE = 0.4
 
 
-def save_picture(context, bake, path):
-    """Write a PNG of a Bake's `Radiosity`, from the scene's camera or, without one, from outside."""
+def save_picture(context, bake, path, colors=None):
+    """Write a PNG of a Bake's `Radiosity`, from the scene's camera or, without one, from outside. colors: as for `draw`;
+    None takes those of the corners."""
     scene = context.scene
     view = _camera_view(scene) if scene.camera else outside_view(bake.scene)
     background = np.maximum(bake.scene.world.radiance, 1e-4)
-    pixels = tone_map(draw(bake.scene, layer_colors(bake, "Radiosity"), view, background=background))
+    colors = layer_colors(bake, "Radiosity") if colors is None else colors
+    pixels = tone_map(draw(bake.scene, colors, view, background=background))
     image = bpy.data.images.new("radiosity picture", view.width, view.height, alpha=False)
     try:
         rgba = np.ones((view.height, view.width, 4), np.float32)

@@ -55,7 +55,7 @@ class RunningBake:
         self._wanted.set()
 
     def take_light(self):
-        """The light asked for, {layer: (C, 3) color of the scene's corners}, once; None until it is there."""
+        """The light asked for, as the output previews it, once; None until it is there."""
         shown, self._shown = self._shown, None
         return shown
 
@@ -69,7 +69,7 @@ class RunningBake:
                     return
                 if self._wanted.is_set() and (bake := self.job.so_far(self.progress)):
                     self._wanted.clear()
-                    self._shown = self.job.colors_of(bake, self.job.options.layers[:1])
+                    self._shown = self.job.output.preview(bake)
             bake = None if self._dropped.is_set() else self.job.so_far(self.progress)
             if bake:
                 self.partial = True

@@ -6,6 +6,8 @@ polygons, in a copy of the object, and the original is hidden. What a bake makes
 
 from __future__ import annotations
 
+import contextlib
+
 import bpy
 import numpy as np
 
@@ -64,13 +66,38 @@ def remove_copy(scene, copy):
         bpy.data.meshes.remove(mesh)
 
 
+@contextlib.contextmanager
+def source_mesh(context, target):
+    """The mesh of an object as it is rendered, whose corners are the target's, for a while; a Finding if the object is
+    not what was read."""
+    object = context.scene.objects.get(target.object)
+    if object is None:
+        yield Finding(target.object, "it was deleted during the bake", "its light was dropped")
+        return
+    with originals_shown(context.scene):
+        mesh = _evaluated_mesh(object, context.evaluated_depsgraph_get())
+    try:
+        yield mesh if len(mesh.loops) == target.last - target.first else _changed(target)
+    finally:
+        if mesh.users == 0:
+            bpy.data.meshes.remove(mesh)
+
+
+def copy_with(scene, name, mesh):
+    """A marked copy of the object of a name with a mesh of its own, in place of it and of any older copy."""
+    return _result_copy(scene, scene.objects[name], mesh)
+
+
+def _changed(target):
+    return Finding(target.object, "its mesh was changed during the bake", "its light was dropped: bake it again")
+
+
 def _place(context, target):
     """The mesh that takes a target's light, made if need be; a Finding if the object is not what was read."""
     scene = context.scene
     object = scene.objects.get(target.object)
     if object is None:
         return Finding(target.object, "it was deleted during the bake", "its light was dropped")
-    changed = Finding(target.object, "its mesh was changed during the bake", "its light was dropped: bake it again")
     copy = result_copy(scene, target.object)
     corners = target.last - target.first
     if not target.same:
@@ -79,11 +106,11 @@ def _place(context, target):
                 mesh = _evaluated_mesh(object, context.evaluated_depsgraph_get())
             if len(mesh.loops) != corners:
                 bpy.data.meshes.remove(mesh)
-                return changed
+                return _changed(target)
             copy = _result_copy(scene, object, mesh)
         return copy.data
     if len(object.data.loops) != corners or object.mode == "EDIT":
-        return changed
+        return _changed(target)
     if copy is not None:
         remove_copy(scene, copy)
     if object.data.users - object.data.use_fake_user > 1:

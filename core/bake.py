@@ -58,15 +58,16 @@ class Bake:
     cells: dict = field(default_factory=dict)
 
 
-def bake(scene, settings, cells):
-    """Bake a scene: a generator that yields Progress and returns the Bake. cells: any `Cells`; they are left running."""
+def bake(scene, settings, cells, place=None):
+    """Bake a scene: a generator that yields Progress and returns the Bake. cells: any `Cells`; they are left running.
+    place: function of (scene, flipped, cells) that gives the Points; None: the scene's corners."""
     try:
-        return (yield from _bake(scene, settings, cells))
+        return (yield from _bake(scene, settings, cells, place))
     finally:
         cells.clear()
 
 
-def _bake(scene, settings, cells):
+def _bake(scene, settings, cells, place):
     clock = _Clock(cells)
     found = survey(scene, settings, cells)
     clock.lap("survey")
@@ -93,7 +94,7 @@ def _bake(scene, settings, cells):
     clock.lap("transport")
 
     flipped = _flipped(scene, patches, solution, settings.side)
-    points = make_points(scene, flipped)
+    points = place(scene, flipped, cells) if place else make_points(scene, flipped)
     gathering = gather(points, solution, surfaces, sky, scene.diagonal, cells, settings)
     light = yield from _each(gathering, lambda done: _of_points(*done, clock))
     clock.lap("gather")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .surfaces import corner_surfaces
+from .surfaces import corner_surfaces, place_surfaces
 
 LAYERS = ("Radiosity", "Lighting", "Direct", "Indirect")
 
@@ -15,17 +15,30 @@ def layer_colors(bake, layer):
     Radiosity: (exitance + reflectance * irradiance) / pi, what the eye sees. Lighting: irradiance / pi, without the
     surface's own color. Direct, Indirect: its two parts. Raises ValueError for a layer that is not known.
     """
-    light, points, scene = bake.light, bake.points, bake.scene
-    parts = {"Direct": light.direct, "Indirect": light.indirect}
-    if layer not in LAYERS:
-        raise ValueError(f"layer {layer!r} is not one of {', '.join(LAYERS)}")
-    irradiance = parts[layer] if layer in parts else light.direct + light.indirect
+    points, scene = bake.points, bake.scene
     colors = np.zeros((len(scene.corner_vertex), 3))
-    colors[points.corner] = irradiance[:, points.corner_point].T
+    colors[points.corner] = _arriving(bake.light, layer)[:, points.corner_point].T
     if layer == "Radiosity":
         reflectance, exitance = corner_surfaces(scene, points.corner)
         colors[points.corner] = exitance + reflectance * colors[points.corner]
     return colors / np.pi
+
+
+def texel_colors(bake, atlas, layer):
+    """(P, 3) float64 color in a layer of every point of a Bake, whose points are Texels of an atlas."""
+    colors = np.broadcast_to(_arriving(bake.light, layer).T, (len(bake.points), 3))
+    if layer == "Radiosity":
+        reflectance, exitance = place_surfaces(bake.scene, atlas.triangle[bake.points.row], bake.points.weight)
+        colors = exitance + reflectance * colors
+    return colors / np.pi
+
+
+def _arriving(light, layer):
+    """(C, P) the irradiance that a layer shows."""
+    if layer not in LAYERS:
+        raise ValueError(f"layer {layer!r} is not one of {', '.join(LAYERS)}")
+    parts = {"Direct": light.direct, "Indirect": light.indirect}
+    return parts[layer] if layer in parts else light.direct + light.indirect
 
 
 def vertex_means(colors, corner_vertex, count):

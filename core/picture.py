@@ -40,7 +40,8 @@ def outside_view(scene, width=640, height=480):
 
 
 def draw(scene, colors, view, samples=4, background=(0.05, 0.05, 0.05)):
-    """(height, width, 3) linear radiance, row 0 at the top. colors: (C, 3) of the scene's corners."""
+    """(height, width, 3) linear radiance, row 0 at the top. colors: (C, 3) of the scene's corners, or a function of
+    triangles (K,) and weights (K, 3) of their corners that gives radiance (K, 3)."""
     caster = RayCaster(scene.vertices, scene.triangles, scene.usable)
     u, v = lattice(samples)
     picture = np.zeros((view.height, view.width, 3))
@@ -65,9 +66,12 @@ def _seen(scene, caster, colors, view, place, background):
     for _ in range(LAYERS_DEEP if view.through else 1):
         triangle, u, v, distance, back = caster.hits(caster.place(origin[left]), direction[left].astype(np.float32))
         shown = (triangle >= 0) & ~(back & view.through)
-        corner = colors[scene.triangle_corner[triangle[shown]]]
         weight = np.stack([1 - u[shown] - v[shown], u[shown], v[shown]], axis=1).astype(float)
-        result[left[shown]] = np.einsum("kv,kvc->kc", weight, corner)
+        if callable(colors):
+            result[left[shown]] = colors(triangle[shown], weight)
+        else:
+            corner = colors[scene.triangle_corner[triangle[shown]]]
+            result[left[shown]] = np.einsum("kv,kvc->kc", weight, corner)
         again = (triangle >= 0) & ~shown
         further = distance[again, None].astype(float) / scale + 1e-5 / scale
         origin = origin.copy()

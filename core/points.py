@@ -66,7 +66,7 @@ def make_points(scene, flipped=None):
         face_normal, normal = face_normal * sign, normal * sign[polygon]
     normal = unit(normal, face_normal[polygon])  # a custom normal may be 0 or NaN
 
-    point = _group(vertex, normal)
+    point = group_corners(vertex, normal)
     count = int(point.max(initial=-1)) + 1
     weight = polygon_area[polygon] / size[polygon]
     area = np.bincount(point, weight, count)
@@ -93,16 +93,16 @@ def make_points(scene, flipped=None):
     )
 
 
-def _group(vertex, normal):
+def group_corners(vertex, normal, agreement=SAME_NORMAL):
     """(C,) number of the (vertex, normal) pair of each corner: round by round, the first corner left at each vertex
-    takes those within a degree of its normal."""
+    takes those whose normals' cosine to its own is at least `agreement`."""
     order = np.argsort(vertex, kind="stable")
     left, point, count = order, np.empty(len(vertex), np.int64), 0
     while len(left):
         leading = np.append(True, vertex[left][1:] != vertex[left][:-1])
         run = np.cumsum(leading) - 1
         leader = left[leading][run]
-        near = dot(normal[left], normal[leader]) >= SAME_NORMAL
+        near = dot(normal[left], normal[leader]) >= agreement
         near |= left == leader
         point[left[near]] = count + run[near]
         count += run[-1] + 1

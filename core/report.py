@@ -57,11 +57,14 @@ SCHEMA = {
         ),
         layers=_list({"type": "string"}),
         objects=_list(_record(name={"type": "string"}, points=_COUNT, domain=_TEXT, error=_NUMBER)),
+        lightmaps=_list(
+            _record(of={"type": "string"}, width=_COUNT, height=_COUNT, texels=_COUNT, charts=_COUNT, unwrap_seconds=_NUMBER)
+        ),
     ),
 }  # fmt: skip
 
 
-def make_report(bake, *, scene, version, layers, domain, start, read, write):
+def make_report(bake, *, scene, version, layers, domain, start, read, write, lightmaps=()):
     """The report (a dictionary that fits SCHEMA) of a Bake. scene: its file; start, read, write: seconds."""
     solution, seconds, cells = bake.solution, bake.seconds, bake.cells
     phases = {k: seconds.get(k) for k in ("survey", "patches", "transport", "gather")}
@@ -99,6 +102,7 @@ def make_report(bake, *, scene, version, layers, domain, start, read, write):
         "price": [],
         "layers": list(layers),
         "objects": [dict(name=n, points=c, domain=domain, error=None) for n, c in counts],
+        "lightmaps": list(lightmaps),
     }  # fmt: skip
 
 

@@ -135,6 +135,27 @@ def corner_surfaces(scene, corner):
     return _bounded(reflectance), exitance
 
 
+def place_surfaces(scene, triangle, weight):
+    """Reflectance and exitance (K, 3) at places of the scene's triangles (K,), given by weights (K, 3) of their corners."""
+    material = scene.polygon_material[scene.triangle_polygon[triangle]]
+    corner = scene.triangle_corner[triangle]
+    reflectance, exitance = _of_materials(scene, "reflectance")[material], _of_materials(scene, "exitance")[material]
+    for number, m in enumerate(scene.materials):
+        if m.texture is not None:
+            mine = material == number
+            uv = np.einsum("kv,kvd->kd", weight[mine], scene.corner_uv[corner[mine]])
+            reflectance[mine] += np.asarray(m.tint) * scene.textures[m.texture].at(uv)
+    if scene.readings is not None:
+        place = np.full(len(scene.corner_vertex), -1)
+        place[scene.readings.corner] = np.arange(len(scene.readings.corner))
+        read = np.flatnonzero((place[corner] >= 0).all(axis=1))
+        for result, values in (
+            (reflectance, scene.readings.corner_reflectance), (exitance, scene.readings.corner_exitance),
+        ):  # fmt: skip
+            result[read] = np.einsum("kv,kvc->kc", weight[read], values[place[corner[read]]])
+    return _bounded(reflectance), exitance
+
+
 def _inside(corner_uv, polygon, corner, start):
     """(K, 2) the uv of corners, moved a little into their polygons: on the rim of a texture the pixel is not certain."""
     middle = np.add.reduceat(corner_uv, start[:-1], axis=0) / np.diff(start)[:, None]

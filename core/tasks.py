@@ -6,6 +6,7 @@ import numpy as np
 
 from .contacts import find_contacts
 from .gather import gather_points
+from .lightmap import settle_points
 from .rows import analytic_rows, light_patches, trace_rows
 
 
@@ -29,5 +30,6 @@ TASKS = {
     "rows": trace_rows,
     "analytic": analytic_rows,
     "gather": gather_points,
+    "settle": settle_points,
     "wait": wait,
 }

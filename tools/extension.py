@@ -5,6 +5,7 @@ Blender's own tool builds and validates them; it comes with the bpy module.
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 import sys
@@ -16,18 +17,24 @@ LINUX = ("manylinux_2_28_x86_64", "manylinux_2_27_x86_64", "manylinux2014_x86_64
 # Blender's own builds have Python 3.11 (4.2 to 5.0) or 3.13 (5.1 and 5.2); a Linux distribution may take its own.
 BUILDS = [(python, names) for python in ("311", "313") for names in (LINUX, ("win_amd64",), ("macosx_13_0_arm64",))]
 BUILDS.append(("314", LINUX))
+MISSING = {"314": {"xatlas"}}  # packages that have no wheel for a Python
 
 
 def fetch_wheels(folder):
     """Download every wheel of wheels.txt into a folder; checksums are checked by pip."""
+    blocks = re.split(r"^(?=[\w-]+==)", (ROOT / "wheels.txt").read_text(), flags=re.MULTILINE)
     for python, names in BUILDS:
+        wanted = [block for block in blocks if block.split("==")[0] not in MISSING.get(python, set())]
+        pins = folder / f"wheels-{python}.txt"
+        pins.write_text("".join(wanted))
         platforms = [word for name in names for word in ("--platform", name)]
         subprocess.run(
             [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-deps",
              "--only-binary=:all:", "--require-hashes", "--implementation", "cp", "--python-version", python,
-             "--abi", f"cp{python}", "--abi", "none", *platforms, "-d", folder, "-r", ROOT / "wheels.txt"],
+             "--abi", f"cp{python}", "--abi", "none", *platforms, "-d", folder, "-r", pins],
             check=True,
         )  # fmt: skip
+        pins.unlink()
 
 
 def blender_tool():

@@ -1,0 +1,84 @@
+"""Lightmaps as Blender images and files.
+
+`Image.save` of a float image writes values encoded for the screen; `save_render` in a scene of its own writes what is
+there: linear 32-bit floats in OpenEXR, or 16-bit numbers times a scale in PNG.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+
+import bpy
+import numpy as np
+
+from .errors import Refused
+from .marks import KEY, is_made, mark
+
+SUFFIX = {"exr": ".exr", "png": ".png"}
+DEEPEST = 65535  # of a 16-bit number
+
+
+def make_image(name, pixels, path=None, kind="exr"):
+    """A marked Blender image of pixels (height, width, 3), line 0 at the bottom, saved at `path`, or packed without one.
+
+    Any older image of that name that a bake made is replaced. A PNG holds the light divided by image["scale"].
+    """
+    old = bpy.data.images.get(name)
+    if old is not None and is_made(old):
+        bpy.data.images.remove(old)
+    scale = 1.0
+    if kind == "png":
+        scale = float(max(pixels.max(initial=0.0), 1e-30))
+        pixels = np.rint(pixels * (DEEPEST / scale)) / DEEPEST
+    height, width = pixels.shape[:2]
+    image = bpy.data.images.new(name, width, height, alpha=False, float_buffer=True)
+    image.colorspace_settings.name = "Non-Color"  # values are taken as they are, whatever the working space
+    rgba = np.ones((height, width, 4), np.float32)
+    rgba[..., :3] = pixels
+    image.pixels.foreach_set(rgba.reshape(-1))
+    if path is None:
+        image.pack()
+    else:
+        _save(image, path, kind)
+        image.source = "FILE"
+        image.filepath = bpy.path.relpath(path) if bpy.data.filepath else path
+        image.reload()
+    mark(image)
+    image["scale"] = scale
+    return image
+
+
+def scale_of(image):
+    """What the values of an image must be multiplied by to be light."""
+    return float(image.get("scale", 1.0))
+
+
+def image_path(output, of, layer, kind="exr"):
+    """The file of a layer's lightmap beside OUT.blend: OUT_OBJECT_LAYER.exr."""
+    stem = os.path.splitext(output)[0]
+    return f"{stem}_{bpy.path.clean_name(of)}_{layer}{SUFFIX[kind]}"
+
+
+def _save(image, path, kind):
+    """Write an image's values to a file as they are, whole or not at all."""
+    scene = bpy.data.scenes.new(f"{KEY} image")
+    temporary = f"{path}.tmp{os.getpid()}{SUFFIX[kind]}"
+    try:
+        settings = scene.render.image_settings
+        if hasattr(settings, "media_type"):
+            settings.media_type = "IMAGE"
+        if kind == "exr":
+            settings.file_format, settings.color_mode = "OPEN_EXR", "RGB"
+            settings.color_depth, settings.exr_codec = "32", "ZIP"
+        else:
+            settings.file_format, settings.color_mode, settings.color_depth = "PNG", "RGB", "16"
+            scene.display_settings.display_device, scene.view_settings.view_transform = "sRGB", "Raw"
+        image.save_render(temporary, scene=scene)
+        os.replace(temporary, path)
+    except (RuntimeError, OSError) as error:
+        raise Refused(f"cannot write {path}: {' '.join(str(error).split())}") from None
+    finally:
+        bpy.data.scenes.remove(scene)
+        with contextlib.suppress(OSError):
+            os.remove(temporary)

@@ -1,0 +1,198 @@
+"""What a bake is written to: vertex colors in meshes, or lightmaps in images.
+
+An output reads what it needs of the file (`read`), places the points whose light is asked for (`place`), makes colors of
+the light (`compute`), both without touching Blender, and puts them into the file (`writing`).
+"""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+
+from ..core.atlas import NoUnwrapper, make_atlas, read_atlas
+from ..core.effects import Finding
+from ..core.layers import layer_colors, texel_colors
+from ..core.lightmap import find_seams, look_up, make_images, make_texels
+from ..core.raycast import RayCaster
+from ..core.remesh import triangulated
+from .errors import Refused
+from .images import image_path, make_image
+from .remesh import carry_groups, make_mesh, piece_of
+from .shown import forget_unused, show
+from .write_result import check_names, copy_with, source_mesh, writing_result
+
+UV_MAP = "Lightmap"
+MOST_UV_MAPS = 8
+
+
+class VertexColors:
+    """Colors of the meshes' own vertices and corners."""
+
+    domain = property(lambda self: self.options.domain)
+
+    def __init__(self, options):
+        self.options = options
+        self.place, self.lightmaps, self.findings = None, (), ()
+
+    def read(self, context, scene, targets):
+        """Check, before any work, that nothing of the user's is in the way."""
+        check_names(targets, self.options.layers)
+
+    def compute(self, result):
+        """Make the layers' colors of a Bake."""
+        self.colors = {layer: layer_colors(result, layer) for layer in self.options.layers}
+
+    def preview(self, bake):
+        """What `painting` shows of a Bake whose light is still coming: the first layer, as it stands."""
+        layer = self.options.layers[0]
+        return {layer: layer_colors(bake, layer)}
+
+    def painting(self, context, targets, preview):
+        """Show a `preview`, in steps."""
+        return writing_result(context, preview, targets, self.options.domain)
+
+    def picture(self, result):
+        """What a picture of a Bake is colored with: its corners' Radiosity."""
+        return layer_colors(result, "Radiosity")
+
+    def writing(self, context, targets):
+        """Write, in steps; returns Findings."""
+        return writing_result(context, self.colors, targets, self.options.domain)
+
+
+class Lightmaps:
+    """Images, and copies of the objects whose materials show them."""
+
+    domain = "TEXEL"
+
+    def __init__(self, options):
+        self.options = options
+        self.findings, self.lightmaps = (), ()
+
+    def read(self, context, scene, targets):
+        """Check that UV maps are there, or that there is room for one, and read them."""
+        self.name, self._uv = self.options.uv or UV_MAP, None
+        if self.options.uv:
+            self._uv = np.zeros((len(scene.corner_vertex), 2))
+        else:
+            check_names(targets, (UV_MAP,))
+        for target in targets:
+            if self._uv is not None:
+                with source_mesh(context, target) as mesh:
+                    self._read_uv(target, mesh)
+            elif len(bpy.data.objects[target.object].data.uv_layers) >= MOST_UV_MAPS:
+                raise Refused(f"{target.object}: it has 8 UV maps, as many as there can be; remove one")
+
+    def _read_uv(self, target, mesh):
+        layer = mesh.uv_layers.get(self.options.uv)
+        if layer is None:
+            names = ", ".join(m.name for m in mesh.uv_layers) or "none"
+            raise Refused(f"{target.object}: it has no UV map {self.options.uv!r} (it has: {names})")
+        uv = np.empty(2 * len(mesh.loops), np.float32)
+        layer.uv.foreach_get("vector", uv)
+        self._uv[target.first : target.last] = uv.reshape(-1, 2)[target.corner]
+
+    def place(self, scene, flipped, cells):
+        """The texels of the scene's written objects."""
+        o = self.options
+        layout = dict(density=o.texels_per_meter, size=o.size, together=o.atlas == "scene")
+        try:
+            if self._uv is None:
+                self.atlas = make_atlas(scene, padding=o.padding, **layout)
+            else:
+                self.atlas = read_atlas(scene, self._uv, **layout)
+        except (NoUnwrapper, ValueError) as problem:
+            raise Refused(str(problem)) from None
+        self._flipped = flipped
+        return make_texels(scene, self.atlas, flipped, cells)
+
+    def compute(self, result):
+        """Make the images of a Bake."""
+        scene, atlas, texels = result.scene, self.atlas, result.points
+        caster = RayCaster(scene.vertices, scene.triangles, scene.usable)
+        self.seams = find_seams(scene, atlas, self._flipped, caster)
+        self.images = {layer: self._make(layer, result) for layer in self.options.layers}
+        self.scene = scene
+        self.findings = tuple(Finding(*f) for f in atlas.findings)
+        count = np.bincount(texels.image, minlength=len(atlas.names))
+        charts = [len(np.unique(atlas.chart[atlas.image == k])) for k in range(len(atlas.names))]
+        self.lightmaps = tuple(
+            dict(
+                of=name, width=int(w), height=int(h), texels=int(n), charts=c,
+                unwrap_seconds=atlas.seconds if atlas.unwrapped else None,
+            )
+            for name, (w, h), n, c in zip(atlas.names, atlas.size, count, charts)
+        )  # fmt: skip
+
+    def preview(self, bake):
+        """None: images are shown when they are complete."""
+
+    def picture(self, result):
+        """What a picture of a Bake is colored with: a function that looks Radiosity up in the images."""
+        atlas = self.atlas
+        images = self.images.get("Radiosity") or self._make("Radiosity", result)
+        row = np.full(len(result.scene.triangles), -1)
+        row[atlas.triangle] = np.arange(len(atlas.triangle))
+
+        def color(triangle, weight):
+            seen = row[triangle] >= 0
+            colors = np.zeros((len(triangle), 3))
+            colors[seen] = look_up(atlas, images, row[triangle[seen]], weight[seen])
+            return colors
+
+        return color
+
+    def _make(self, layer, result):
+        return make_images(self.atlas, result.points, texel_colors(result, self.atlas, layer).T, self.seams)
+
+    def writing(self, context, targets):
+        """Write images and copies, in steps; returns Findings."""
+        images, files = {}, []
+        output = self.options.output or bpy.data.filepath
+        for layer, pictures in self.images.items():
+            for number, name in enumerate(self.atlas.names):
+                yield
+                path = image_path(output, name, layer, self.options.image) if output else None
+                images[layer, number] = make_image(f"{name}_{layer}", pictures[number], path, self.options.image)
+                files.append(path)
+        remesh = None if self._uv is not None else triangulated(self.scene)
+        findings = []
+        for target in targets:
+            yield
+            with source_mesh(context, target) as source:
+                if isinstance(source, Finding):
+                    findings.append(source)
+                    continue
+                copy = self._copy(context.scene, target, source, remesh)
+            number = self._image_of(target)
+            if number is not None:
+                show(copy, (images[self.options.layers[0], number], self.name))
+        forget_unused()
+        return tuple(findings)
+
+    def _image_of(self, target):
+        """Number of the image that an object's light is in; None if it has no triangles."""
+        triangles = np.flatnonzero(
+            (self.scene.triangle_corner[self.atlas.triangle, 0] >= target.first)
+            & (self.scene.triangle_corner[self.atlas.triangle, 0] < target.last)
+        )
+        return int(self.atlas.image[triangles[0]]) if len(triangles) else None
+
+    def _copy(self, scene, target, source, remesh):
+        """The copy of a target's object that holds its lightmap's UV map. source: its mesh as it is rendered."""
+        if remesh is None:
+            return copy_with(scene, target.object, source.copy())
+        piece = piece_of(self.scene, remesh, target)
+        copy = copy_with(scene, target.object, make_mesh(source, source.name, piece))
+        carry_groups(copy, scene.objects[target.object], source, piece)
+        uv = np.zeros((len(self.scene.triangles), 3, 2))
+        uv[self.atlas.triangle] = self.atlas.uv
+        uv = uv[np.argsort(self.scene.triangle_polygon, kind="stable")].reshape(-1, 2)[piece.index]
+        layer = copy.data.uv_layers.new(name=UV_MAP, do_init=False)
+        layer.uv.foreach_set("vector", uv.astype(np.float32).reshape(-1))
+        return copy
+
+
+def make_output(options):
+    """The output that options ask for."""
+    return Lightmaps(options) if options.target == "lightmap" else VertexColors(options)

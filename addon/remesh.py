@@ -1,0 +1,186 @@
+"""Blender meshes made out of others: triangles of their polygons, or pieces of these.
+
+All that a mesh carries comes along: materials, UV maps and other attributes, vertex groups, custom normals, sharp and
+marked edges. Numbers are mixed by the weights of the new vertices and corners; what cannot be mixed comes from the
+nearest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import bmesh
+import bpy
+import numpy as np
+
+from .marks import made_layers
+
+STRUCTURE = {"position", ".corner_vert", ".corner_edge", ".edge_verts", "custom_normal"}
+# What values are called, how many numbers they hold, and whether they can be mixed.
+KINDS = {
+    "FLOAT": ("value", 1, np.float32, True), "INT": ("value", 1, np.int32, False), "INT8": ("value", 1, np.int32, False),
+    "BOOLEAN": ("value", 1, bool, False), "FLOAT_VECTOR": ("vector", 3, np.float32, True),
+    "FLOAT2": ("vector", 2, np.float32, True), "FLOAT_COLOR": ("color", 4, np.float32, True),
+    "BYTE_COLOR": ("color", 4, np.float32, True), "INT32_2D": ("value", 2, np.int32, False),
+    "INT16_2D": ("value", 2, np.int32, False), "QUATERNION": ("value", 4, np.float32, False),
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One object's part of a core Remesh, in the numbers of the Blender mesh it is made of.
+
+    part: the Remesh. corner: (C, 3) source corners; polygon: (P,) source polygons; index: (C,) which corner of the whole
+    Remesh each one is.
+    """
+
+    part: object
+    corner: np.ndarray
+    polygon: np.ndarray
+    index: np.ndarray
+
+    @property
+    def first_corner(self):
+        """(V,) a corner of every vertex."""
+        first = np.zeros(int(self.part.corner_vertex.max(initial=-1)) + 1, np.int64)
+        first[self.part.corner_vertex[::-1]] = np.arange(len(self.part.corner_vertex))[::-1]
+        return first
+
+
+def piece_of(scene, remesh, target):
+    """The Piece of a scene's Remesh that belongs to a read_scene.Target."""
+    first, last = np.searchsorted(scene.polygon_start, [target.first, target.last])
+    size = scene.polygon_start[first + 1] - scene.polygon_start[first]
+    backward = target.corner[0] > target.corner[size - 1]  # a mirrored object's polygons were turned round
+    part, index = remesh.part(first, last, backward)
+    return Piece(part, target.corner[part.corner_source - target.first], part.polygon_source - first, index)
+
+
+def make_mesh(source, name, piece):
+    """A new Blender mesh of a Piece. source: the mesh it is made of."""
+    part, weight = piece.part, piece.part.corner_weight
+    first = piece.first_corner
+    vertex = _values(source, ".corner_vert", "CORNER")[piece.corner]
+    of_vertex, of_corner = (vertex[first], weight[first]), (piece.corner, weight)
+    polygon, count = piece.polygon, len(first)
+
+    mesh = bpy.data.meshes.new(name)
+    for material in source.materials:
+        mesh.materials.append(material)
+    mesh.vertices.add(count)
+    mesh.loops.add(len(part.corner_vertex))
+    mesh.polygons.add(len(polygon))
+    position = _mixed(_values(source, "position", "POINT"), *of_vertex)
+    mesh.vertices.foreach_set("co", position.astype(np.float32).reshape(-1))
+    mesh.polygons.foreach_set("loop_start", part.polygon_start[:-1].astype(np.int32))
+    mesh.loops.foreach_set("vertex_index", part.corner_vertex.astype(np.int32))
+    mesh.update(calc_edges=True)
+
+    origins = {
+        "POINT": of_vertex,
+        "CORNER": of_corner,
+        "FACE": (polygon[:, None], np.ones((len(polygon), 1))),
+        "EDGE": _edge_sources(mesh, source, *of_vertex),
+    }
+    ours = made_layers(source)
+    for attribute in source.attributes:
+        known = attribute.data_type in KINDS and attribute.domain in origins
+        if known and attribute.name not in STRUCTURE | ours and not attribute.name.startswith("."):
+            _carry(mesh, source, attribute, *origins[attribute.domain])
+    _copy_choices(mesh, source)
+    if source.has_custom_normals:
+        normal = np.empty(3 * len(source.loops), np.float32)
+        source.corner_normals.foreach_get("vector", normal)
+        mesh.normals_split_custom_set(_mixed(normal.reshape(-1, 3), *of_corner).tolist())
+    mesh.update()
+    return mesh
+
+
+def carry_groups(object, source_object, source, piece):
+    """Give an object, whose mesh is `make_mesh`'s, the vertex groups of the object it is made of."""
+    if not source_object.vertex_groups:
+        return
+    first = piece.first_corner
+    vertex = _values(source, ".corner_vert", "CORNER")[piece.corner]
+    object.vertex_groups.clear()
+    for group in source_object.vertex_groups:
+        object.vertex_groups.new(name=group.name).lock_weight = group.lock_weight
+    given = [{g.group: g.weight for g in v.groups} for v in source.vertices]
+    made = bmesh.new()
+    made.from_mesh(object.data)
+    deform = made.verts.layers.deform.verify()
+    for v, sources, weights in zip(made.verts, vertex[first].tolist(), piece.part.corner_weight[first].tolist()):
+        for s, w in zip(sources, weights):
+            if w:
+                for group, value in given[s].items():
+                    v[deform][group] = v[deform].get(group, 0.0) + w * value
+    made.to_mesh(object.data)
+    made.free()
+
+
+def _values(mesh, name, domain):
+    """(K, n) or (K,) values of an attribute."""
+    attribute = mesh.attributes[name]
+    prop, size, dtype, _ = KINDS[attribute.data_type]
+    values = np.empty(len(attribute.data) * size, dtype)
+    attribute.data.foreach_get(prop, values)
+    return values.reshape(-1, size) if size > 1 else values
+
+
+def _mixed(values, source, weight):
+    """Values (K, ...) mixed from those of sources (K, n) by weights (K, n)."""
+    return np.einsum("kn,kn...->k...", weight, values[source].astype(float))
+
+
+def _carry(mesh, source, attribute, origin, weight):
+    """Copy an attribute; origin: (K, n) elements of the source, -1 for none."""
+    prop, _, dtype, mixes = KINDS[attribute.data_type]
+    values = _values(source, attribute.name, attribute.domain)
+    made = mesh.attributes.get(attribute.name)
+    if made is None:
+        made = mesh.attributes.new(attribute.name, attribute.data_type, attribute.domain)
+    if made is None or len(made.data) != len(origin) or made.data_type != attribute.data_type or not len(values):
+        return  # Blender allows no more UV maps than it does
+    if mixes and origin.shape[1] > 1:
+        result = _mixed(values, origin, weight)
+    else:
+        nearest = np.take_along_axis(origin, weight.argmax(axis=1)[:, None], axis=1)[:, 0]
+        result = np.where((nearest >= 0).reshape(-1, *[1] * (values.ndim - 1)), values[nearest], 0)
+    made.data.foreach_set(prop, np.ascontiguousarray(result, dtype).reshape(-1))
+
+
+def _edge_sources(mesh, source, vertex, weight):
+    """The source's edge along which each edge of a new mesh lies, -1 for none: (E, 1), with weights of 1."""
+    # The one or two old vertices between which each new one lies; those inside a triangle have three, and no edge.
+    used = weight > 0
+    low = np.where(used, vertex, np.iinfo(np.int64).max).min(axis=1)
+    high = np.where(used, vertex, -1).max(axis=1)
+    inside = (used & (vertex != low[:, None]) & (vertex != high[:, None])).any(axis=1)
+    ends = np.empty(2 * len(mesh.edges), np.int32)
+    mesh.edges.foreach_get("vertices", ends)
+    ends = ends.reshape(-1, 2)
+    a, b = low[ends].min(axis=1), high[ends].max(axis=1)
+    on = ~inside[ends].any(axis=1) & (a != b)
+    for k in range(2):
+        on &= ((low[ends[:, k]] == a) | (low[ends[:, k]] == b)) & ((high[ends[:, k]] == a) | (high[ends[:, k]] == b))
+    old = np.empty(2 * len(source.edges), np.int32)
+    source.edges.foreach_get("vertices", old)
+    old = np.sort(old.reshape(-1, 2), axis=1).astype(np.int64)
+    size = len(source.vertices)
+    key = old[:, 0] * size + old[:, 1]
+    order = np.argsort(key, kind="stable")
+    wanted = np.where(on, a * size + b, -1)
+    place = np.minimum(np.searchsorted(key[order], wanted), max(len(key) - 1, 0))
+    edge = np.where(key[order[place]] == wanted, order[place], -1) if len(key) else np.full(len(ends), -1)
+    return edge[:, None], np.ones((len(edge), 1))
+
+
+def _copy_choices(mesh, source):
+    """Which UV map and which color attribute is the active one."""
+    if source.uv_layers.active is not None and source.uv_layers.active.name in mesh.uv_layers:
+        mesh.uv_layers.active = mesh.uv_layers[source.uv_layers.active.name]
+    for layer in source.uv_layers:
+        if layer.active_render and layer.name in mesh.uv_layers:
+            mesh.uv_layers[layer.name].active_render = True
+    if source.color_attributes.active_color_name in mesh.color_attributes:
+        mesh.color_attributes.active_color_name = source.color_attributes.active_color_name

@@ -1,0 +1,33 @@
+"""Graphs in arrays: which things hang together."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def components(first, second, count):
+    """(count,) number of the connected part that each of `count` nodes belongs to: 0, 1, ... in order of first nodes.
+
+    first, second: (E,) the nodes at the ends of the edges. Roots are hooked to lower ones and paths halved, so the
+    number of rounds grows with the logarithm of the count.
+    """
+    root = np.arange(count)
+    first, second = np.asarray(first, np.int64), np.asarray(second, np.int64)
+    while len(first):
+        a, b = root[first], root[second]
+        apart = a != b
+        first, second, a, b = first[apart], second[apart], a[apart], b[apart]
+        np.minimum.at(root, np.maximum(a, b), np.minimum(a, b))
+        while True:
+            shorter = root[root]
+            if np.array_equal(shorter, root):
+                break
+            root = shorter
+    return np.unique(root, return_inverse=True)[1].reshape(-1)
+
+
+def linked(owner, key):
+    """Edges (first, second) that join owners (K,) with equal keys (K,), a chain through each run of equals."""
+    order = np.argsort(key, kind="stable")
+    same = key[order][1:] == key[order][:-1]
+    return owner[order[:-1][same]], owner[order[1:][same]]

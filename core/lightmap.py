@@ -1,0 +1,384 @@
+"""Lightmaps: texels as points, and what the light at them becomes in an image.
+
+Owns which texels are baked and where on the surface each is asked, what is done with those that something covers, the
+matching of light across the seams between charts, and the filling of all that no chart covers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .atlas import rasterize
+from .points import Points
+from .raycast import OFFSET
+from .sampling import hemisphere, lattice, morton_order, tangents
+from .vectors import TINY, counted, cross, dot, length, unit
+
+FEW, MANY = 4, 16  # rays that tell a covered texel: if all of the few meet backs, the many are cast
+WAYS = 8  # directions along the surface in which a covered texel looks for the open
+BEYOND = 0.1  # how far past what covers it a texel is moved, in texels
+RIM = 1e-3  # a texel is on the rim of its triangle if a corner's weight is less
+INSET = 0.1  # how far texels on the rim are moved toward the triangle's middle: in texels, and as a share of the way
+TASK_TEXELS = 1 << 13
+
+ALIKE = 0.996  # cosine between shading normals of the two sides of a seam across which light goes on
+STEP = 1e-4  # how far beyond an edge, and how high above, the surface of the other side is looked for, in diagonals
+MATCH = 10.0  # weight of a difference across a seam against that of a change to a texel
+ROUNDS, ENOUGH = 200, 1e-6  # of the conjugate gradients, and the residual at which they end
+DILATE = 4  # texels around charts that repeat their neighbors; farther ones are blended from coarser images
+
+
+@dataclass(frozen=True)
+class Texels(Points):
+    """Points that are texels of an atlas; they write no corners.
+
+    row: (P,) int64, which of the atlas' triangles. weight: (P, 3) of its corners. image, column, line: (P,) int64 the
+    texel; line 0 is at the bottom. moved: (P,) bool, lifted out of what covered it. hidden: texels left out because
+    something covers them.
+    """
+
+    row: np.ndarray
+    weight: np.ndarray
+    image: np.ndarray
+    column: np.ndarray
+    line: np.ndarray
+    moved: np.ndarray
+    hidden: int
+
+
+def make_texels(scene, atlas, flipped, cells):
+    """The Texels of an Atlas whose light is to be gathered: all that a triangle touches, but those that are covered.
+
+    A texel is asked at its center, or where its center is outside the chart, at the place in the chart nearest to it.
+    flipped: (P,) bool, polygons whose back side's light is asked for. cells: started with the scene's arrays.
+    """
+    row, image, column, line, weight = _texels(atlas)
+    triangle = atlas.triangle[row]
+    corner = scene.triangle_corner[triangle]
+    sign = np.where(flipped[scene.triangle_polygon[triangle]], -1.0, 1.0)[:, None]
+    vertices = scene.vertices[scene.triangles[triangle]]
+    position = np.einsum("kv,kvd->kd", weight, vertices)
+    geometric = scene.triangle_normal_area[0][triangle] * sign
+    shading = unit(scene.corner_normal[corner], scene.triangle_normal_area[0][triangle][:, None])
+    normal = unit(np.einsum("kv,kvd->kd", weight, shading)) * sign
+    normal = np.where(
+        np.isfinite(normal).all(axis=1, keepdims=True) & (dot(normal, normal) > 0)[:, None], normal, geometric
+    )
+    spread = np.abs(_doubled(atlas.place)) / 2
+    size = scene.triangle_normal_area[1][atlas.triangle] / np.maximum(spread, TINY)  # of a texel [m^2]
+    area = np.where(spread > 0, size, 0.0)[row]
+    edge = np.sqrt(np.minimum(area, scene.diagonal**2))
+
+    # A texel on the rim of a triangle is asked a little inside: beyond the rim another surface may begin.
+    inward = vertices.mean(axis=1) - position
+    share = np.minimum(INSET * edge / np.maximum(length(inward), TINY), INSET)
+    position = position + np.where(weight.min(axis=1) < RIM, share, 0.0)[:, None] * inward
+
+    position, moved, open_ = _settle(scene, position, geometric, edge, flipped, cells)
+    order = np.flatnonzero(open_)
+    order = order[morton_order(position[order])]
+    own = [x[order] for x in (image, line, column)]
+    chart = atlas.chart[row[order]]
+    start, neighbor = _grid_neighbors(atlas, *own, chart)
+    none = np.zeros(0, np.int32)
+    return Texels(
+        position=position[order], normal=normal[order], geometric=geometric[order], area=area[order],
+        object=scene.polygon_object[scene.triangle_polygon[triangle[order]]].astype(np.int32),
+        neighbor_start=start, neighbor=neighbor, corner=none, corner_point=none,
+        row=row[order], weight=weight[order], image=own[0], column=own[2], line=own[1], moved=moved[order],
+        hidden=int(len(open_) - len(order)),
+    )  # fmt: skip
+
+
+def _texels(atlas):
+    """The texels that triangles touch: row of the atlas, image, column, line (N,), and weights (N, 3) of the corners.
+
+    Of the triangles that touch a texel the one whose inside is nearest to its center has it.
+    """
+    parts = []
+    width, height = atlas.size.max(axis=0)
+    for row, column, line, weight, distance in rasterize(atlas.place, atlas.size[atlas.image]):
+        key = (atlas.image[row] * height + line) * width + column
+        parts.append(_first(key, distance, row, weight))
+    if not parts:
+        none = np.zeros(0, np.int64)
+        return none, none, none, none, np.zeros((0, 3))
+    key, distance, row, weight = _first(*(np.concatenate(part) for part in zip(*parts)))
+    image, texel = np.divmod(key, height * width)
+    line, column = np.divmod(texel, width)
+    return row, image, column, line, weight
+
+
+def _first(key, distance, row, weight):
+    """Of each key the entry of least distance, and of these the one of the lowest row."""
+    order = np.lexsort((row, distance, key))
+    order = order[np.append(True, key[order][1:] != key[order][:-1])] if len(order) else order
+    return key[order], distance[order], row[order], weight[order]
+
+
+def _doubled(place):
+    """(K,) twice the signed areas of triangles (K, 3, 2)."""
+    a, b = place[:, 1] - place[:, 0], place[:, 2] - place[:, 0]
+    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+
+
+def _grid_neighbors(atlas, image, line, column, chart):
+    """Where each texel's neighbors start (P + 1,), and the neighbors (E,): texels beside, above and below, of one chart."""
+    width, height = atlas.size.max(axis=0) + 2
+    count = len(image)
+    key = (image * height + line + 1) * width + column + 1
+    order = np.argsort(key, kind="stable")
+    here, there = [], []
+    for step in (1, width):
+        place = np.minimum(np.searchsorted(key[order], key + step), max(count - 1, 0))
+        other = order[place] if count else place
+        met = (key[other] == key + step) & (chart[other] == chart)
+        here += [np.flatnonzero(met), other[met]]
+        there += [other[met], np.flatnonzero(met)]
+    pair = np.unique(np.concatenate(here) * max(count, 1) + np.concatenate(there))
+    here, there = np.divmod(pair, max(count, 1))
+    return np.searchsorted(here, np.arange(count + 1)).astype(np.int32), there.astype(np.int32)
+
+
+def _settle(scene, position, normal, edge, flipped, cells):
+    """Positions (P, 3) with covered ones moved into the open where that is less than a texel away, which ones were moved
+    (P,), and which are not covered (P,). edge: (P,) of the texels [m]."""
+    cells.start({"settle.flipped": flipped[scene.triangle_polygon]})
+    parts = [slice(k, min(k + TASK_TEXELS, len(position))) for k in range(0, len(position), TASK_TEXELS)]
+    tasks = [cells.submit("settle", position=position[p], normal=normal[p], edge=edge[p]) for p in parts]
+    results = cells.take(tasks)
+    position, moved, free = position.copy(), np.zeros(len(position), bool), np.ones(len(position), bool)
+    for part, result in zip(parts, results):
+        position[part], moved[part], free[part] = result["position"], result["moved"], result["open"]
+    return position, moved, free
+
+
+def settle_points(kernel, position, normal, edge):
+    """{"position" (K, 3), "moved" (K,), "open" (K,)} of surface points: those from which nothing but backs of faces can be
+    seen, so that they lie inside something, are moved along the surface past what covers them, if that is near."""
+    result = position.copy()
+    covered = np.flatnonzero(_covered(kernel, position, normal, FEW))
+    covered = covered[_covered(kernel, position[covered], normal[covered], MANY)]
+    t1, t2 = tangents(normal[covered])
+    best, target = np.full(len(covered), np.inf), position[covered]
+    scale = kernel.caster.frame[1]
+    for k in range(WAYS):
+        turn = 2 * np.pi * (k + 0.5) / WAYS
+        way = np.cos(turn) * t1 + np.sin(turn) * t2
+        triangle, _, _, distance, back = kernel.caster.hits(
+            kernel.caster.start(position[covered], normal[covered]), way.astype(np.float32)
+        )
+        far = distance.astype(float) / scale
+        met = (triangle >= 0) & _backs(kernel, triangle, back) & (far < 1.5 * edge[covered]) & (far < best)
+        past = np.where(met, far, 0.0) + BEYOND * edge[covered] + 2 * OFFSET / scale
+        place = position[covered] + past[:, None] * way
+        met = np.flatnonzero(met)
+        met = met[~_covered(kernel, place[met], normal[covered[met]], MANY)]
+        best[met], target[met] = far[met], place[met]
+    moved, open_ = np.zeros(len(position), bool), np.ones(len(position), bool)
+    moved[covered], open_[covered] = np.isfinite(best), np.isfinite(best)
+    result[covered] = target
+    return {"position": result, "moved": moved, "open": open_}
+
+
+def _covered(kernel, position, normal, rays):
+    """(K,) bool: all of a few rays from points meet backs of faces."""
+    local = hemisphere(*lattice(rays))
+    t1, t2 = tangents(normal)
+    frame = np.stack([t1, t2, normal], axis=1)
+    direction = np.einsum("nj,kjd->knd", local, frame).reshape(-1, 3).astype(np.float32)
+    origin = np.repeat(kernel.caster.start(position, normal), rays, axis=0)
+    triangle, _, _, _, back = kernel.caster.hits(origin, direction)
+    return ((triangle >= 0) & _backs(kernel, triangle, back)).reshape(-1, rays).all(axis=1)
+
+
+def _backs(kernel, triangle, back):
+    """(K,) bool: hits on the side of a face whose light is not asked for."""
+    return back != kernel.arrays["settle.flipped"][triangle]
+
+
+@dataclass(frozen=True)
+class Seams:
+    """Pairs of places in images that are one place of the surface: S of them, as weights of texels.
+
+    left, right: (S, 4) numbers of texels among all images' (image * height + line) * width + column; left_weight,
+    right_weight: (S, 4). object: (S, 2) the objects that meet.
+    """
+
+    left: np.ndarray
+    right: np.ndarray
+    left_weight: np.ndarray
+    right_weight: np.ndarray
+    object: np.ndarray
+
+    def differences(self, values):
+        """(C, S) of values (C, N) at the texels: what the image shows on the left, less that on the right."""
+        shown = (
+            np.einsum("sk,csk->cs", weight, values[:, texel])
+            for texel, weight in ((self.left, self.left_weight), (self.right, self.right_weight))
+        )
+        left, right = shown
+        return left - right
+
+
+def find_seams(scene, atlas, flipped, caster):
+    """The Seams of an atlas: along every edge where a chart ends, the places where the surface goes on in another chart
+    or object, facing the same way. caster: a RayCaster of the scene."""
+    row, end = _rims(scene, atlas)
+    a, b = (scene.vertices[scene.triangles[atlas.triangle[row], (end + k) % 3]] for k in (0, 1))
+    run = atlas.place[row, (end + 1) % 3] - atlas.place[row, end]
+    owner, number = counted(np.maximum(np.ceil(2 * np.sqrt(dot(run, run))), 1).astype(np.int64))
+    share = ((number + 0.5) / np.bincount(owner, minlength=len(row))[owner])[:, None]
+    row, end = row[owner], end[owner]
+    position = (1 - share) * a[owner] + share * b[owner]
+    facing = scene.triangle_normal_area[0][atlas.triangle[row]]
+    sign = np.where(flipped[scene.triangle_polygon[atlas.triangle[row]]], -1.0, 1.0)[:, None]
+    outward = unit(cross(b[owner] - a[owner], facing))
+    step = STEP * scene.diagonal
+    origin = position + step * (outward + sign * facing)
+    triangle, u, v, distance, back = caster.hits(caster.place(origin), (-sign * facing).astype(np.float32))
+
+    rows = np.full(len(scene.triangles), -1)
+    rows[atlas.triangle] = np.arange(len(atlas.triangle))
+    other = rows[triangle]
+    met = (triangle >= 0) & (other >= 0) & (distance < 3.0 * step * caster.frame[1])
+    met &= back == flipped[scene.triangle_polygon[triangle]]
+    met &= atlas.chart[other] != atlas.chart[row]
+    here = np.zeros((len(row), 3))
+    here[np.arange(len(row)), end], here[np.arange(len(row)), (end + 1) % 3] = (1 - share)[:, 0], share[:, 0]
+    there = np.stack([1 - u - v, u, v], axis=1).astype(float)
+    met &= dot(_shading(scene, atlas, row, here), _shading(scene, atlas, other, there)) >= ALIKE
+    met = np.flatnonzero(met)
+    left, right = _stencils(atlas, row[met], here[met]), _stencils(atlas, other[met], there[met])
+    object = scene.polygon_object[scene.triangle_polygon[atlas.triangle]]
+    return Seams(left[0], right[0], left[1], right[1], np.stack([object[row[met]], object[other[met]]], axis=1))
+
+
+def _rims(scene, atlas):
+    """The edges where charts end: row of the atlas, and the number of the corner where the edge begins, (E,) each."""
+    vertex = scene.triangles[atlas.triangle]
+    following = np.roll(vertex, -1, axis=1)
+    low, high = np.minimum(vertex, following).astype(np.int64), np.maximum(vertex, following).astype(np.int64)
+    key = np.column_stack([np.repeat(atlas.chart, 3), low.reshape(-1), high.reshape(-1)])
+    _, inverse, count = np.unique(key, axis=0, return_inverse=True, return_counts=True)
+    return np.divmod(np.flatnonzero(count[inverse.reshape(-1)] == 1), 3)
+
+
+def _shading(scene, atlas, row, weight):
+    """(K, 3) shading normals at places of the atlas' triangles."""
+    corner = scene.triangle_corner[atlas.triangle[row]]
+    facing = scene.triangle_normal_area[0][atlas.triangle[row]][:, None]
+    return unit(np.einsum("kv,kvd->kd", weight, unit(scene.corner_normal[corner], facing)))
+
+
+def _stencils(atlas, row, weight):
+    """The texels (K, 4) that a bilinear look-up at places of the atlas' triangles reads, and their weights (K, 4)."""
+    place = np.einsum("kv,kvd->kd", weight, atlas.place[row]) - 0.5
+    low = np.floor(place).astype(np.int64)
+    share = place - low
+    size = atlas.size[atlas.image[row]]
+    width, height = atlas.size.max(axis=0)
+    texel, weights = [], []
+    for right in (0, 1):
+        for up in (0, 1):
+            column, line = (np.clip(low[:, k] + step, 0, size[:, k] - 1) for k, step in ((0, right), (1, up)))
+            texel.append((atlas.image[row] * height + line) * width + column)
+            weights.append(np.abs(1 - right - share[:, 0]) * np.abs(1 - up - share[:, 1]))
+    return np.stack(texel, axis=1), np.stack(weights, axis=1)
+
+
+def make_images(atlas, texels, values, seams=None):
+    """A list of I images (height, width, C) float64, line 0 at the bottom, of values (C, P) at texels.
+
+    What no texel covers is filled; across `seams` the light is matched, by the least change of texels that makes the
+    differences vanish.
+    """
+    width, height = atlas.size.max(axis=0)
+    full = np.zeros((len(values), len(atlas.names), height, width))
+    known = np.zeros((len(atlas.names), height, width), bool)
+    full[:, texels.image, texels.line, texels.column] = values
+    known[texels.image, texels.line, texels.column] = True
+    for image, (w, h) in enumerate(atlas.size):
+        full[:, image, :h, :w] = _filled(full[:, image, :h, :w], known[image, :h, :w])
+    if seams is not None and len(seams.left):
+        full = _matched(full.reshape(len(values), -1), seams).reshape(full.shape)
+    return [np.moveaxis(full[:, k, :h, :w], 0, -1) for k, (w, h) in enumerate(atlas.size)]
+
+
+def look_up(atlas, images, row, weight):
+    """(K, C) what images show at places of the atlas' triangles, rows (K,) and weights (K, 3), between their texels."""
+    width, height = atlas.size.max(axis=0)
+    flat = np.zeros((len(images), height, width, images[0].shape[2]))
+    for k, image in enumerate(images):
+        flat[k, : image.shape[0], : image.shape[1]] = image
+    texel, share = _stencils(atlas, row, weight)
+    return np.einsum("kn,knc->kc", share, flat.reshape(-1, flat.shape[-1])[texel])
+
+
+def _filled(values, known):
+    """Values (C, H, W) with unknown texels filled: near known ones from their neighbors, elsewhere from coarser images."""
+    values, known = np.where(known, values, 0.0), known.copy()
+    if not known.any():
+        return values
+    for _ in range(DILATE):
+        if known.all():
+            return values
+        total, count = np.zeros_like(values), np.zeros(known.shape)
+        padded, mask = np.pad(values, ((0, 0), (1, 1), (1, 1))), np.pad(known, 1)
+        for y in range(3):
+            for x in range(3):
+                total += padded[:, y : y + known.shape[0], x : x + known.shape[1]]
+                count += mask[y : y + known.shape[0], x : x + known.shape[1]]
+        new = ~known & (count > 0)
+        values[:, new] = total[:, new] / count[new]
+        known |= new
+    return _blended(values, known.astype(float))
+
+
+def _blended(values, weight):
+    """Values (C, H, W) with those of weight (H, W) 0 taken from an image of half the size, and so on."""
+    if (weight > 0).all() or min(weight.shape) < 2:
+        mean = (values * weight).sum(axis=(1, 2), keepdims=True) / max(weight.sum(), TINY)
+        return np.where(weight > 0, values, mean)
+    h, w = weight.shape
+    even = ((0, h % 2), (0, w % 2))
+    mass = np.pad(weight, even).reshape((h + 1) // 2, 2, (w + 1) // 2, 2)
+    light = np.pad(values * weight, ((0, 0), *even)).reshape(len(values), (h + 1) // 2, 2, (w + 1) // 2, 2)
+    mass, light = mass.sum(axis=(1, 3)), light.sum(axis=(2, 4))
+    coarse = _blended(light / np.maximum(mass, TINY), np.minimum(mass, 1.0))
+    return np.where(weight > 0, values, coarse.repeat(2, axis=1).repeat(2, axis=2)[:, :h, :w])
+
+
+def _matched(values, seams):
+    """Values (C, N) at all texels, changed as little as may be so that the differences across the seams vanish.
+
+    Minimizes MATCH |D x|^2 + |x - values|^2, D the differences, by conjugate gradients.
+    """
+    texel, index = np.unique(np.concatenate([seams.left, seams.right], axis=1), return_inverse=True)
+    index = index.reshape(len(seams.left), 8)
+    weight = np.concatenate([seams.left_weight, -seams.right_weight], axis=1)
+
+    def normal_matrix(x):
+        across = np.einsum("sk,sk->s", weight, x[index])
+        return x + MATCH * np.bincount(index.reshape(-1), (weight * across[:, None]).reshape(-1), len(texel))
+
+    result = values.copy()
+    for channel in range(len(values)):
+        x = values[channel, texel]
+        start = x.copy()
+        residual = start - normal_matrix(x)
+        way, size = residual.copy(), dot(residual, residual)
+        goal = ENOUGH**2 * max(dot(start, start), TINY)
+        for _ in range(ROUNDS):
+            if size <= goal:
+                break
+            image = normal_matrix(way)
+            step = size / dot(way, image)
+            x = x + step * way
+            residual = residual - step * image
+            before, size = size, dot(residual, residual)
+            way = residual + size / before * way
+        result[channel, texel] = np.maximum(x, 0.0)
+    return result

@@ -1,0 +1,231 @@
+"""Atlases and lightmaps: which texels, where on the surface, and what their light becomes."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cell_radiosity.core.atlas import NoUnwrapper, make_atlas, rasterize, read_atlas
+from cell_radiosity.core.lightmap import find_seams, look_up, make_images, make_texels
+from cell_radiosity.core.polygons import clip_polygons
+from cell_radiosity.core.raycast import RayCaster
+
+from scenes import Lamp, Material, Settings, bake, box, icosphere, join_meshes, point_light, run, sheet
+
+LAMP = Lamp("point", (10.0, 10.0, 10.0), (1.0, 2.0, 2.0), radius=0.0)
+
+
+def round_ball(place=(0, 0, 0), radius=0.4, splits=3):
+    """A smooth ball that faces outward."""
+    ball = icosphere("ball", radius, splits, inward=False)
+    return replace(
+        ball, vertices=ball.vertices + np.array(place, float), corner_normal=ball.vertices[ball.corner_vertex] / radius
+    )
+
+
+def bake_map(scene, atlas, cells, **settings):
+    """The Bake of a scene at the texels of an atlas, which are its points."""
+    return run(bake(scene, Settings(**settings), cells, lambda s, flipped, c: make_texels(s, atlas, flipped, c)))
+
+
+def seams_of(scene, atlas):
+    flipped = np.zeros(len(scene.polygon_material), bool)
+    return find_seams(scene, atlas, flipped, RayCaster(scene.vertices, scene.triangles, scene.usable))
+
+
+def clipped_area(triangle, column, row):
+    """Area of the part of a triangle (3, 2) in one texel."""
+    polygon, sides = triangle[None], np.array([3])
+    for axis, sign, level in ((0, 1, column), (0, -1, -column - 1), (1, 1, row), (1, -1, -row - 1)):
+        polygon, sides = clip_polygons(polygon, sides, sign * polygon[..., axis] - level)
+    p = polygon[0, : sides[0]]
+    q = np.roll(p, -1, axis=0)
+    return abs((p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]).sum()) / 2
+
+
+def test_every_texel_that_a_triangle_touches_is_found_and_no_other(rng):
+    place = rng.uniform(0, 9, (40, 3, 2))
+    place[20:] = place[20:, :1] + rng.uniform(-0.7, 0.7, (20, 3, 2))  # small ones, most within a texel or two
+    place = np.clip(place, 0, 9)
+    found = set()
+    for triangle, column, row, weight, distance in rasterize(place, np.full((40, 2), 9)):
+        found |= set(zip(triangle.tolist(), column.tolist(), row.tolist()))
+        center = np.stack([column + 0.5, row + 0.5], axis=1)
+        at = np.einsum("kv,kvd->kd", weight, place[triangle])
+        np.testing.assert_allclose(np.sqrt(((at - center) ** 2).sum(axis=1)), distance, atol=1e-9)
+        assert weight.min() >= 0
+        np.testing.assert_allclose(weight.sum(axis=1), 1)
+        # No place of the triangle is nearer to the center: neither its corners nor places on its edges.
+        share = np.linspace(0, 1, 41)[:, None, None]
+        for k in range(3):
+            edge = (1 - share) * place[triangle, k] + share * place[triangle, (k + 1) % 3]
+            assert (np.sqrt(((edge - center) ** 2).sum(axis=-1)) >= distance - 1e-9).all()
+    for k in range(40):
+        for column in range(9):
+            for row in range(9):
+                area = clipped_area(place[k], column, row)
+                if area > 1e-9:
+                    assert (k, column, row) in found
+                elif area == 0 and (k, column, row) in found:
+                    assert (
+                        clipped_area(place[k] + [1e-6, 1e-6], column, row)
+                        + clipped_area(place[k] - [1e-6, 1e-6], column, row)
+                        < 1e-3
+                    )  # no more than a rim that lies on the texel's edge
+
+
+@pytest.mark.parametrize("together", [False, True])
+def test_an_atlas_has_the_density_asked_for_and_no_overlap(together):
+    scene = join_meshes([box("room", high=(4, 3, 2), n=3), round_ball((1, 1, 1))])
+    atlas = make_atlas(scene, density=20.0, together=together)
+    assert atlas.names == (("atlas",) if together else ("room", "ball"))
+    assert not atlas.findings
+    assert (atlas.uv >= 0).all()
+    assert (atlas.uv <= 1).all()
+    a, b = atlas.place[:, 1] - atlas.place[:, 0], atlas.place[:, 2] - atlas.place[:, 0]
+    density = np.sqrt(np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2 / scene.triangle_normal_area[1][atlas.triangle])
+    room = scene.polygon_object[scene.triangle_polygon[atlas.triangle]] == 0
+    np.testing.assert_allclose(density[room], 20.0, rtol=0.08)
+    assert (density[~room] > 8).all()
+
+
+def test_an_atlas_of_a_given_size():
+    scene = join_meshes([box("room", high=(4, 3, 2), n=3), round_ball((1, 1, 1))])
+    atlas = make_atlas(scene, size=128, together=True)
+    assert atlas.size.tolist() == [[128, 128]]
+    assert not atlas.findings
+    covered = sum(
+        len(np.unique(column + 128 * row)) for _, column, row, _, _ in rasterize(atlas.place, atlas.size[atlas.image])
+    )
+    assert covered > 0.5 * 128 * 128
+
+
+@pytest.mark.parametrize("splits", [5, 6])
+def test_a_dense_ball_is_not_folded(splits):
+    """Its neighbors bend so little that a ball of triangles passes for a plane if only neighbors are looked at."""
+    scene = join_meshes([round_ball(splits=splits)])
+    atlas = make_atlas(scene, density=200.0)
+    assert not atlas.findings
+    a, b = atlas.place[:, 1] - atlas.place[:, 0], atlas.place[:, 2] - atlas.place[:, 0]
+    shrunk = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2 / (200.0**2 * scene.triangle_normal_area[1])
+    assert shrunk.min() > 0.4
+
+
+def test_what_is_wrong_with_a_uv_map_is_said_by_face_count():
+    scene = join_meshes([sheet("floor", ((0, 0, 0), (4, 0, 0), (4, 4, 0), (0, 4, 0)), 4, 4)])
+    uv = scene.vertices[scene.corner_vertex][:, :2] / 4
+    assert not read_atlas(scene, uv).findings
+    moved = uv.copy()
+    moved[:4] += [0.25, 0.0]  # the first face onto the second
+    moved[-4:] += [0.5, 0.0]  # the last out of the square
+    moved[-8:-4] = 0.3
+    found = {text for _, text, _ in read_atlas(scene, moved).findings}
+    assert found == {
+        "2 faces overlap others in the UV map", "1 faces lie outside the UV map's unit square",
+        "1 faces have no area in the UV map",
+    }  # fmt: skip
+    assert read_atlas(scene, np.full_like(uv, np.nan)).findings
+
+
+def test_an_image_that_would_be_too_large_is_refused():
+    scene = join_meshes([sheet("field", ((0, 0, 0), (4e4, 0, 0), (4e4, 4e4, 0), (0, 4e4, 0)))])
+    with pytest.raises(ValueError, match="field: its lightmap would be 6"):
+        make_atlas(scene)
+
+
+def test_without_xatlas_the_message_says_what_to_do(monkeypatch):
+    monkeypatch.setitem(sys.modules, "xatlas", None)
+    with pytest.raises(NoUnwrapper, match="--uv"):
+        make_atlas(join_meshes([box()]))
+
+
+def test_texels_show_the_light_at_their_places(cells):
+    """Each texel in the middle of a chart has the closed form at its center, found through the atlas' own UV."""
+    scene = join_meshes([box("room", high=(4, 3, 2.5)), sheet("table", ((1, 1, 1), (2, 1, 1), (2, 2, 1), (1, 2, 1)))],
+                        [Material(reflectance=(0, 0, 0))], [Lamp("point", (7, 8, 9), (1.5, 1.5, 2.2))])  # fmt: skip
+    atlas = make_atlas(scene, density=16.0, together=True)
+    baked = bake_map(scene, atlas, cells)
+    texels = baked.points
+    vertices = scene.vertices[scene.triangles[atlas.triangle[texels.row]]]
+    at = np.einsum("kv,kvd->kd", texels.weight, vertices)
+    inside = texels.weight.min(axis=1) > 0.02
+    center = np.stack([texels.column + 0.5, texels.line + 0.5], axis=1)
+    np.testing.assert_allclose(
+        np.einsum("kv,kvd->kd", texels.weight, atlas.place[texels.row])[inside], center[inside], atol=1e-6
+    )
+    way = np.array((1.5, 1.5, 2.2)) - at
+    far = np.sqrt((way**2).sum(axis=1))
+    expected = np.maximum((way * texels.geometric).sum(axis=1), 0) / far**3
+    low = np.abs(at[:, 2]) < 0.1
+    shadow = low & (np.abs(at[:, :2] - 1.5) < 1.0).all(axis=1)  # of the table
+    clear = inside & ~shadow & (at[:, 2] < 2.4)
+    for channel, strength in enumerate((7, 8, 9)):
+        np.testing.assert_allclose(baked.light.direct[channel, clear], strength * expected[clear], rtol=2e-3, atol=1e-4)
+    assert not baked.light.direct[0, low & (np.abs(at[:, :2] - 1.5) < 0.85).all(axis=1)].any()
+
+
+def test_lightmap_and_vertices_agree_and_seams_close(cells):
+    """The same light at common places within the error asked for; across seams the images differ by less than 1 %."""
+    ball = round_ball((3, 2, 1))
+    room = box("room", high=(4, 3, 2.5), n=12)
+    scene = join_meshes([room, ball], lamps=[replace(LAMP, radius=0.1)])
+    atlas = make_atlas(scene, density=16.0, together=True)
+    settings = dict(error=0.01, gather_rays=128, row_rays=32)
+    mapped = bake_map(scene, atlas, cells, **settings)
+    baked = run(bake(scene, Settings(**settings), cells))
+    light = mapped.light.direct + mapped.light.indirect
+    seams = seams_of(scene, atlas)
+    images = make_images(atlas, mapped.points, light, seams)
+    # Vertices in the middle of a flat face or of the ball: the lightmap read there, in any triangle that has them.
+    row, corner = np.unique(scene.triangles[atlas.triangle].reshape(-1), return_index=True)[1] // 3, None
+    vertex, first = np.unique(scene.triangles[atlas.triangle].reshape(-1), return_index=True)
+    row, corner = np.divmod(first, 3)
+    inner = ((scene.vertices[vertex] > 0.01) & (scene.vertices[vertex] < np.array((4, 3, 2.5)) - 0.01)).sum(axis=1) >= 2
+    seen = look_up(atlas, images, row, np.eye(3)[corner])[inner]
+    there = point_light(baked, scene.vertices[vertex[inner]])[:, : len(light)]
+    assert np.sqrt(((seen - there) ** 2).sum() / (there**2).sum()) < 0.01
+    assert len(seams.left) > 100
+    flat = np.moveaxis(images[0], -1, 0).reshape(len(light), -1)
+    before = np.moveaxis(make_images(atlas, mapped.points, light)[0], -1, 0).reshape(len(light), -1)
+    gap = lambda values: np.sqrt((seams.differences(values) ** 2).mean()) / light.mean()
+    assert gap(flat) < 0.01
+    assert gap(before) > 3 * gap(flat)  # there was something to close
+    np.testing.assert_allclose(flat.mean(), before.mean(), rtol=0.01)
+
+
+def test_touching_objects_meet_without_a_seam_and_corners_stay_sharp(cells):
+    """A floor of two sheets that touch: matched along their line. Walls at right angles are not."""
+    floor = [sheet("left", ((0, 0, 0), (1.03, 0, 0), (1.03, 2, 0), (0, 2, 0))),
+             sheet("right", ((1.03, 0, 0), (2, 0, 0), (2, 2, 0), (1.03, 2, 0)), 2, 3)]  # fmt: skip
+    wall = sheet("wall", ((0, 2, 0), (2, 2, 0), (2, 2, 2), (0, 2, 2)))
+    scene = join_meshes([*floor, wall], lamps=[Lamp("point", (5, 5, 5), (1.1, 1, 0.7), radius=0.05)])
+    atlas = make_atlas(scene, density=10.0)
+    seams = seams_of(scene, atlas)
+    assert {tuple(sorted(pair)) for pair in seams.object.tolist()} == {(0, 1)}
+    assert len(seams.left) >= 2 * 2 * 20
+    baked = bake_map(scene, atlas, cells)
+    images = make_images(atlas, baked.points, baked.light.direct, seams)
+    width, height = atlas.size.max(axis=0)
+    flat = np.zeros((len(baked.light.direct), 3, height, width))
+    for k, image in enumerate(images):
+        flat[:, k, : image.shape[0], : image.shape[1]] = np.moveaxis(image, -1, 0)
+    gap = np.abs(seams.differences(flat.reshape(len(flat), -1)))
+    assert gap.max() < 0.01 * baked.light.direct.max()
+
+
+def test_texels_under_a_box_do_not_darken_the_floor_beside_it(cells):
+    """The box covers parts of texels: these are asked beside it; those wholly under it are not baked at all."""
+    block = box("block", (0.93, 0.93, 0), (2.04, 2.04, 1), inward=False, faces=("x", "X", "y", "Y", "Z"))
+    scene = join_meshes([sheet("floor", ((0, 0, 0), (3, 0, 0), (3, 3, 0), (0, 3, 0))), block],
+                        [Material(reflectance=(0, 0, 0))], [Lamp("sun", (1, 1, 1))])  # fmt: skip
+    uv = scene.vertices[scene.corner_vertex][:, :2] / 3
+    atlas = read_atlas(replace(scene, written=np.array([True, False])), uv, size=24)
+    baked = bake_map(replace(scene, written=np.array([True, False])), atlas, cells)
+    assert baked.points.hidden + baked.points.moved.sum() == 9 * 9  # whose centers the box covers
+    assert baked.points.hidden >= 5 * 5
+    assert baked.points.moved.sum() >= 4 * 8
+    (image,) = make_images(atlas, baked.points, baked.light.direct)
+    np.testing.assert_allclose(image, 1.0, atol=1e-9)  # the sun stands overhead: all the floor that shows is lit
