@@ -8,7 +8,7 @@ import sys
 
 import bpy
 
-from ..core.experiment import as_dictionary, decades, experiment, shots_per_decade, table
+from ..core.experiment import as_dictionary, convergence, convergence_table, experiment, law_of, table
 from ..core.report import write_json
 from ..core.settings import SCHEDULES
 from .arguments import add_scene_options, count, make_options
@@ -61,11 +61,11 @@ def run_cells(arguments):
                     f"{run.schedule}, {run.cells} cells, {run.kind}: {run.seconds:.2f} s", file=sys.stderr, flush=True
                 )
         print(table(runs), flush=True)
-        decade = shots_per_decade(scene, settings)
-        for line in decades(runs, decade):
-            print(line, flush=True)
+        law = law_of(scene, settings)
+        aimed = convergence(scene, settings) if "dynamic" in arguments.schedule else None
+        print(convergence_table(runs, law, aimed), flush=True)
         if arguments.report:
-            write_json(as_dictionary(os.path.abspath(source), runs, decade), os.path.abspath(arguments.report))
+            write_json(as_dictionary(os.path.abspath(source), runs, law, aimed), os.path.abspath(arguments.report))
         if arguments.plot:
             plot_cells(runs, os.path.abspath(arguments.plot), os.path.basename(source))
     except Usage as problem:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import contextlib
 import multiprocessing
 import os
+import pickle
 import queue
 import runpy
 import signal
@@ -166,15 +167,17 @@ class ProcessCells(Cells):
     def start(self, arrays):
         changed = {k: a for k, a in arrays.items() if self._arrays.get(k) is not a}
         self._arrays.update(changed)
+        message = _packed(("arrays", changed))
         for cell in self._cells:
-            cell.send(("arrays", changed))
+            cell.send(message)
         if self._local:
             self._local.start(changed)
 
     def submit(self, name, **arguments):
         self._waiting.append((self._next, name, arguments))
         self._next += 1
-        self._deal()
+        if len(self._waiting) == 1:  # or else no cell had room for the one before it
+            self._deal()
         return self._next - 1
 
     def results(self):
@@ -214,7 +217,7 @@ class ProcessCells(Cells):
             if not cell.tasks:
                 cell.heard = monotonic()
             cell.tasks[number] = task
-            cell.send(("task", number, name, arguments))
+            cell.send(_packed(("task", number, name, arguments)))
 
     def _receive(self, cell):
         """(id, result) that a cell has sent; None for a sign of life, a dropped task or a cell that is gone."""
@@ -254,7 +257,7 @@ class ProcessCells(Cells):
             del self._cells[place]
             self.note = f"no new cell could be started ({error}); its work was done in this process"
             return
-        fresh.send(("arrays", self._arrays))
+        fresh.send(_packed(("arrays", self._arrays)))
 
     def _run_here(self):
         """Do the waiting tasks in this process: no cell is left."""
@@ -292,7 +295,7 @@ class _Process:
         self._writer.start()
 
     def send(self, message):
-        """Send a message in its turn. A cell that is gone is noticed when its pipe is read."""
+        """Send a packed message in its turn. A cell that is gone is noticed when its pipe is read."""
         self._outbox.put(message)
 
     def end(self):
@@ -307,7 +310,12 @@ class _Process:
     def _write(self):
         with contextlib.suppress(OSError):
             while (message := self._outbox.get()) is not None:
-                self.pipe.send(message)
+                self.pipe.send_bytes(message)
+
+
+def _packed(message):
+    """A message as bytes, packed once for all cells."""
+    return pickle.dumps(message, pickle.HIGHEST_PROTOCOL)
 
 
 def make_cells(count):

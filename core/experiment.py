@@ -12,9 +12,9 @@ from math import log
 
 import numpy as np
 
-from .bake import bake
+from .bake import bake, run
 from .cells import LocalCells, make_cells
-from .host import make_rows, submit_rows
+from .host import make_rows, solve, submit_rows
 from .kernel import scene_arrays
 from .lights import make_sources
 from .patches import make_patches
@@ -80,16 +80,22 @@ def replayed(scene, settings, count, times, message):
     return _run(result, count, "replayed", seconds, cells.busy, {c: cells.lost[c] / count for c in CAUSES})
 
 
-def shots_per_decade(scene, settings):
-    """Shots that plain shooting needs for each decade of the error, by law and not by trial: N ln 10 / (2 ln (1 / l)), N
-    the patch sides that light reaches and that reflect it, l the spectral radius of reflectance times form factors
-    (the convergence of Southwell's iteration), found by power iteration over ray rows."""
-    edge = None if settings.patch_edge is None else settings.patch_edge * scene.diagonal
-    patches = make_patches(scene, edge)
-    sources, sampled = make_sources(scene)
-    surfaces = make_surfaces(scene, patches, sampled)
-    cells = LocalCells()
-    cells.start(scene_arrays(scene, patches, sources))
+@dataclass(frozen=True)
+class Law:
+    """What theory says of shooting: sides, the number N of patch sides that light reaches and that reflect it, which is
+    how many rows are all there is to know; and the shots that plain shooting needs for each decade of the error,
+    N ln 10 / (2 ln (1 / l)), l the spectral radius of reflectance times form factors (None where nothing reflects).
+
+    Source: the convergence of Southwell's iteration. K shots at a time need 1 + K / N times as many.
+    """
+
+    sides: int
+    shots_per_decade: float | None
+
+
+def law_of(scene, settings):
+    """The Law of a scene, by power iteration over ray rows and not by trial."""
+    patches, surfaces, _, cells = _ground(scene, settings)
     sides = np.arange(2 * len(patches))
     ray_settings = replace(settings, rows="rays", row_rays=256)
     rows = make_rows(len(sides), ray_settings)
@@ -99,8 +105,30 @@ def shots_per_decade(scene, settings):
         arriving = rows.gather(surfaces.send(light), np.zeros(len(light)))
         growth = arriving.sum() / light.sum()
         light = arriving / growth if growth > 0 else light
-    lit = (light.sum(axis=0) > 0) & (surfaces.returned.sum(axis=0) > 0)
-    return lit.sum() * log(10) / (2 * log(1 / growth)) if 0 < growth < 1 else None
+    lit = int(((light.sum(axis=0) > 0) & (surfaces.returned.sum(axis=0) > 0)).sum())
+    return Law(lit, lit * log(10) / (2 * log(1 / growth)) if 0 < growth < 1 else None)
+
+
+def convergence(scene, settings):
+    """{level: (rounds, shots)} that the dynamic schedule takes to bring the bound below each of LEVELS, when it aims at
+    it: it solves over its rows at the end, so a run to one level says nothing of those on the way. None if it fails."""
+    patches, surfaces, sky, cells = _ground(scene, settings)
+    found = {}
+    for level in LEVELS:
+        solution = run(solve(patches, surfaces, sky, cells, replace(settings, error=10 * level)))
+        last = solution.rounds[-1]
+        found[str(level)] = (last.number, last.shots) if solution.bound <= level else None
+    return found
+
+
+def _ground(scene, settings):
+    """What a solve starts from: Patches, Surfaces, the sky and cells in this process."""
+    edge = None if settings.patch_edge is None else settings.patch_edge * scene.diagonal
+    patches = make_patches(scene, edge)
+    sources, sampled = make_sources(scene)
+    cells = LocalCells()
+    cells.start(scene_arrays(scene, patches, sources))
+    return patches, make_surfaces(scene, patches, sampled), np.pi * np.asarray(scene.world.radiance, float), cells
 
 
 def table(runs):
@@ -119,24 +147,36 @@ def table(runs):
     return "\n".join(lines)
 
 
-def decades(runs, decade):
-    """Lines that say after how many rounds and shots the bound was below each of LEVELS, on one cell, beside the law.
+def convergence_table(runs, law, aimed):
+    """Lines that say after how many rounds and shots the bound was below each of LEVELS, beside the Law: of the runs of
+    the paper's schedule, by cells, and of the dynamic one as `convergence` has it."""
 
-    decade: shots_per_decade, or None.
-    """
-    for schedule in dict.fromkeys(r.schedule for r in runs):
-        run = next((r for r in runs if r.schedule == schedule and r.cells == 1), None)
-        if run is None:
-            continue
-        parts = [f"{100 * float(k):g} % after {v[0]} rounds, {v[1]} shots" for k, v in run.reached.items() if v]
-        yield f"{schedule}, bound below " + (", ".join(parts) or "none of the levels")
-    if decade:
-        yield f"plain shooting needs {decade:.0f} shots a decade by law"
+    def line(name, cells, values, theory=""):
+        return f"{name:18}{cells:>6}" + "".join(f"{v:>17}" for v in values) + f"  {theory}"
+
+    def both(reached):
+        return "-" if reached is None else f"{reached[0]} / {reached[1]}"
+
+    lines = [line("rounds / shots to", "cells", [f"{100 * level:g} %" for level in LEVELS], "by law")]
+    paper = {r.cells: r for r in runs if r.schedule == "paper"}
+    alone = paper.get(1)
+    for count, r in sorted(paper.items()):
+        first = alone.reached[str(LEVELS[-1])] if alone else None
+        theory = f"{first[1] * (1 + count / law.sides):.0f} shots" if first and count > 1 else ""
+        lines.append(line("paper", count, [both(r.reached[str(level)]) for level in LEVELS], theory))
+    if law.shots_per_decade:
+        lines.append(
+            line("  from level to level", "", ["", *[f"+ {law.shots_per_decade:.0f}"] * (len(LEVELS) - 1)], "")
+        )
+    if aimed:
+        values = [both(aimed[str(level)]) for level in LEVELS]
+        lines.append(line("dynamic", "any", values, f"{law.sides} rows are all there is to know"))
+    return "\n".join(lines)
 
 
-def as_dictionary(scene, runs, decade):
+def as_dictionary(scene, runs, law, aimed):
     """The experiment as one document for JSON."""
-    return {"scene": scene, "shots_per_decade_by_law": decade, "runs": [asdict(r) for r in runs]}
+    return {"scene": scene, "law": asdict(law), "convergence": aimed, "runs": [asdict(r) for r in runs]}
 
 
 def _drive(generator, at_transport):

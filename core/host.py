@@ -17,12 +17,16 @@ import numpy as np
 
 from .vectors import components, ratio
 
-TASK_RAYS = 1 << 15  # of one task: some 10 ms
-ANALYTIC_TASK = 4  # analytic rows of one task
+TASK_RAYS = 1 << 15  # of one task at most: some 10 ms
+LEAST_RAYS = 1 << 11  # of one task at least: less is not worth a message
+ANALYTIC_TASK = 4  # analytic rows of one task at most
+SHARES = 4  # tasks of a batch that a cell gets at least, if they are not too small: no cell waits long for another
 ROWS_SHARE = 0.25  # of the memory that a bake may use, for kept rows
 LAG = 3  # batches in flight; a batch is picked from the state that so many batches before it left
 BATCH = 4096  # sides of a batch at least, and a share of those that wait
 BATCH_SHARE = 0.5
+FACING = 256  # patches that tell how many are in front of a side
+BLOCK = 1 << 16  # rays of the rows that a solver step gathers over at a time: their light stays in the cache
 KRYLOV = 8  # directions that the solve combines at a time
 SWEEPS = 2000  # of the solve, at most
 
@@ -91,17 +95,26 @@ class RayRows:
 
     def shoot(self, power, start=0):
         """Power (C, 2 N) that arrives on all sides and (C,) that escapes, when rows from `start` on send power (C, K)."""
-        target = self.hits[start:].reshape(-1) + 1  # escaped rays are counted first
-        each = np.repeat(power / self.rays, self.rays, axis=1)
-        arrived = np.stack([np.bincount(target, channel, self.count + 1) for channel in each])
+        target = self.hits[start:].reshape(-1).astype(np.intp)
+        target += 1  # escaped rays are counted first
+        each = np.empty(self.hits[start:].shape)
+        arrived = np.empty((len(power), self.count + 1))
+        for channel, result in zip(power, arrived):
+            each[:] = (channel / self.rays)[:, None]
+            result[:] = np.bincount(target, each.reshape(-1), self.count + 1)
         return arrived[:, 1:], arrived[:, 0]
 
     def gather(self, light, beyond):
         """(C, K) irradiance of the rows' sides, from light (C, 2 N) of the sides they hit and (C,) from beyond."""
         light = np.column_stack([light, beyond])
-        hits = self.hits.reshape(-1)
-        seen = (np.take(channel, hits, mode="wrap").reshape(-1, self.rays) for channel in light)
-        return np.stack([np.einsum("kn->k", channel) for channel in seen]) / self.rays
+        result = np.empty((len(light), len(self.sides)))
+        rows = max(BLOCK // self.rays, 1)
+        for k in range(0, len(self.sides), rows):
+            hits = self.hits[k : k + rows].reshape(-1)
+            for channel, mean in zip(light, result):
+                seen = np.take(channel, hits, mode="wrap").reshape(-1, self.rays)
+                np.einsum("kn->k", seen, out=mean[k : k + rows])
+        return result / self.rays
 
     def escaped(self, start=0):
         """(K,) share of the light that escapes, of the rows from `start` on."""
@@ -406,6 +419,7 @@ def solve(patches, surfaces, sky, cells, settings, survey=None):
         inside, outside = state.missing()
         while len(in_flight) < LAG and outside > target / 2 and len(batch := state.pick(taken)):
             taken[batch] = True
+            batch = costliest_first(batch, patches, settings)
             in_flight.append((batch, submit_rows(cells, batch, settings)))
         if in_flight:
             batch, tasks = in_flight.popleft()
@@ -435,7 +449,7 @@ def solve(patches, surfaces, sky, cells, settings, survey=None):
 def light_patches(cells, count, settings, sides=None):
     """(C, 2 N) direct irradiance of all patch sides, or of some of them (K,); the others' is 0."""
     sides = np.arange(count) if sides is None else sides
-    size = max(TASK_RAYS // settings.patch_samples, 1)
+    size = _task_size(len(sides), settings.patch_samples, cells)
     tasks = [
         cells.submit("direct", sides=part, samples=settings.patch_samples, seed=settings.seed)
         for part in _parts(sides, size)
@@ -455,11 +469,31 @@ def make_rows(count, settings):
 def submit_rows(cells, sides, settings):
     """Ids of the tasks that find the rows of sides (K,)."""
     if settings.rows == "analytic":
-        return [cells.submit("analytic", sides=part, seed=settings.seed) for part in _parts(sides, ANALYTIC_TASK)]
-    size = max(TASK_RAYS // settings.row_rays, 1)
+        size = min(max(len(sides) // (SHARES * cells.count), 1), ANALYTIC_TASK)
+        return [cells.submit("analytic", sides=part, seed=settings.seed) for part in _parts(sides, size)]
+    size = _task_size(len(sides), settings.row_rays, cells)
     return [
         cells.submit("rows", sides=part, rays=settings.row_rays, seed=settings.seed) for part in _parts(sides, size)
     ]
+
+
+def costliest_first(sides, patches, settings):
+    """Sides (K,) in the order in which a batch is dealt: those whose rows take longest first, so that no cell begins
+    one when the others are done. All ray rows take the same time; an analytic row goes with the number of patches in
+    front of its side, of which a sample tells."""
+    if settings.rows == "rays":
+        return sides
+    sample = np.arange(0, len(patches), max(len(patches) // FACING, 1))
+    normal = np.where(sides % 2, -1.0, 1.0)[:, None] * patches.normal[sides // 2]
+    offset = np.einsum("kc->k", normal * patches.centroid[sides // 2])
+    height = np.einsum("kc,sc->ks", normal, patches.centroid[sample]) - offset[:, None]
+    return sides[np.argsort(-(height > 0).sum(axis=1), kind="stable")]
+
+
+def _task_size(count, rays, cells):
+    """Sides of one task of a batch of `count` with so many rays each. What a side gets does not depend on it."""
+    most, least = max(TASK_RAYS // rays, 1), max(LEAST_RAYS // rays, 1)
+    return min(max(count // (SHARES * cells.count), least), most)
 
 
 def _parts(items, size):

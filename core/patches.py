@@ -144,18 +144,24 @@ def draw_on_patches(patches, ids, a, b):
 
     ids: (K,) patches; a, b: (K, n) in [0, 1).
     """
-    element = patches.element_start[ids][:, None]
-    last = patches.element_start[ids + 1][:, None] - 1
-    normal = patches.normal[ids][:, None]
-    if (element < last).any():
+    # What a patch gets must not depend on the others in `ids`: only those of several elements, or bent, are treated so.
+    first, last = patches.element_start[ids], patches.element_start[ids + 1] - 1
+    element = np.broadcast_to(first[:, None], a.shape)
+    several = np.flatnonzero(first < last)
+    if len(several):
         # The element at the share a of the patch's area, and the place in that element where a then is.
         upto = np.append(0.0, np.cumsum(patches.element_area))
-        target = upto[element] + a * patches.area[ids, None]
-        element = np.clip(np.searchsorted(upto, target, side="right") - 1, element, last)
-        a = np.clip((target - upto[element]) / patches.element_area[element], 0.0, 1.0)
+        target = upto[first[several], None] + a[several] * patches.area[ids[several], None]
+        found = np.clip(np.searchsorted(upto, target, side="right") - 1, first[several, None], last[several, None])
+        element, a = element.copy(), a.copy()
+        element[several] = found
+        a[several] = np.clip((target - upto[found]) / patches.element_area[found], 0.0, 1.0)
     frame = patches.element_frame[element]
-    if (patches.flatness[ids] < FLAT).any():
-        normal = unit(cross(frame[..., 1, :], frame[..., 2, :]))
+    normal = patches.normal[ids][:, None]
+    bent = np.flatnonzero(patches.flatness[ids] < FLAT)
+    if len(bent):
+        normal = np.broadcast_to(normal, frame[..., 0, :].shape).copy()
+        normal[bent] = unit(cross(frame[bent, :, 1, :], frame[bent, :, 2, :]))
     fold = ~patches.element_square[element] & (a + b > 1.0)
     a, b = np.where(fold, 1.0 - a, a)[..., None], np.where(fold, 1.0 - b, b)[..., None]
     return frame[..., 0, :] + a * frame[..., 1, :] + b * frame[..., 2, :], normal

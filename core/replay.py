@@ -1,56 +1,71 @@
 """Cells that are only counted, not there: a bake's own schedule, run against tasks whose times were measured before.
 
 Owns the discrete-event replay that says what a bake would take on more cells than this machine has. The host's code is
-the real one; it sees a `Cells` whose results come when, by the measured times, they would have come. Its own work is
-timed as it runs and takes its place in the same clock.
+the real one; it sees a `Cells` whose results come when, by the measured times, they would have come. Its own work
+takes its place in the same clock, by the CPU seconds it takes: whatever else runs on the machine does not count.
 """
 
 from __future__ import annotations
 
 import heapq
+from bisect import bisect_right
 from collections import deque
 from dataclasses import dataclass
 from hashlib import blake2b
-from time import perf_counter, process_time
+from time import perf_counter, process_time, thread_time
 
 import numpy as np
 
 from .cells import AHEAD, Cells, ProcessCells, run_task
 from .kernel import Kernel
 
+FILLING = 1 << 24  # bytes of the arrays whose sending is timed
 CAUSES = ("too few shooters", "waiting", "messages", "serial host work")
 
 
 @dataclass(frozen=True)
 class MessageCost:
     """What a task costs beside its own work [s]: host, per task and per byte of its result; latency, until a cell's
-    result is with the host and the next task with the cell."""
+    result is with the host and the next task with the cell; start_per_byte, until a cell has a byte of new arrays,
+    which all cells take in at the same time."""
 
     host: float
     host_per_byte: float
     latency: float
+    start_per_byte: float = 0.0
 
 
 def measure_messages(cells):
-    """The MessageCost of process cells, by tasks that do nothing but answer with a given number of bytes."""
+    """The MessageCost of one process cell, by tasks that do nothing but answer with a given number of bytes."""
+
+    def answer(size=8):
+        cells.take([cells.submit("wait", seconds=0.0, sizes=np.array([size]))])
 
     def host_seconds(count, size):
-        list(cells.results())
-        begun, spent = perf_counter(), process_time()
+        spent = process_time()
         for task in [cells.submit("wait", seconds=0.0, sizes=np.array([size])) for _ in range(count)]:
             cells.take([task])
-        return (process_time() - spent) / count, (perf_counter() - begun) / count
+        return (process_time() - spent) / count
+
+    def trip():
+        begun = perf_counter()
+        answer()
+        return perf_counter() - begun
+
+    def start_seconds(size):
+        begun = perf_counter()
+        cells.start({"wait.filling": np.zeros(size, np.uint8)})
+        answer()
+        return perf_counter() - begun
 
     host_seconds(20, 8)
-    small, _ = host_seconds(400, 8)
-    large, _ = host_seconds(60, 1 << 17)
-    trips = []
-    for _ in range(100):
-        begun = perf_counter()
-        cells.take([cells.submit("wait", seconds=0.0, sizes=np.array([8]))])
-        trips.append(perf_counter() - begun)
-    per_byte = max(large - small, 0.0) / (8 << 17)
-    return MessageCost(small, per_byte, max(float(np.median(trips)) - small, 0.0) / 2)
+    small, large = host_seconds(400, 8), host_seconds(60, 1 << 17)
+    trips = float(np.median([trip() for _ in range(100)]))
+    filling = min(start_seconds(FILLING) for _ in range(3)) - trips
+    cells.start({"wait.filling": np.zeros(0, np.uint8)})
+    return MessageCost(
+        small, max(large - small, 0.0) / (8 << 17), max(trips - small, 0.0) / 2, max(filling, 0.0) / FILLING
+    )
 
 
 class TaskTimes:
@@ -77,50 +92,71 @@ class TaskTimes:
 
 class ReplayCells(Cells):
     """`count` cells that are not there. `clock` is the time since the start [s]; `busy` (count,) what each has worked;
-    `lost` {cause: s} what all of them together have not worked, and why."""
+    `lost` {cause: s} what all of them together have not worked, and why.
+
+    While the host works or passes messages, that is what an idle cell waits for. While the host itself waits, a cell
+    that had no part in the latest burst of tasks had "too few shooters", if there were fewer tasks than cells; any
+    other has done its part and is "waiting" for the rest.
+    """
 
     def __init__(self, count, times, message):
         super().__init__()
         self.count, self.times, self.message = count, times, message
         self.busy = np.zeros(count)
         self.lost = dict.fromkeys(CAUSES, 0.0)
-        self.clock, self._mark = 0.0, perf_counter()
-        self._host = deque()  # (from, to, cause) of what the host did while it did not wait
+        self.clock, self._mark = 0.0, thread_time()
+        # What the host did: up to a moment of `_moments`, `_spent` of each cause in all; waits in short bursts apart.
+        self._moments, self._spent = [0.0], [dict.fromkeys(CAUSES, 0.0)]
+        self._bursts, self._outstanding, self._peak = [0.0], 0, 0
+        self._collecting = False
         self._waiting, self._running = deque(), []
         self._held, self._free = [0] * count, [0.0] * count
-        self._few, self._opened = False, 0.0
+        self._opened = 0.0
 
     def start(self, arrays):
         self._host_worked()
         self.times.start(arrays)
-        self._mark = perf_counter()
+        arrives = self.clock + self.message.start_per_byte * sum(np.asarray(a).nbytes for a in arrays.values())
+        for cell in range(self.count):
+            self._lose(cell, self.clock)
+            self.lost["messages"] += max(arrives - max(self._free[cell], self.clock), 0.0)
+            self._free[cell] = max(self._free[cell], arrives)
+        self._mark = thread_time()
 
     def submit(self, name, **arguments):
         self._host_worked()
         result, seconds, rays = self.times.run(name, arguments)
         self.usage.rays += rays
-        self._mark = perf_counter()
-        self._host_spends(self.message.host / 2, "messages")
+        if self._collecting:
+            self._collecting = False
+            self._bursts.append(self.clock)
+            self._peak = 0
+        self._outstanding += 1
+        self._peak = max(self._peak, self._outstanding)
         self._waiting.append((self._next, result, seconds))
         self._next += 1
-        self._few = len(self._waiting) + sum(self._held) < self.count
         self._deal()
+        self._mark = thread_time()
         return self._next - 1
 
     def results(self):
         while self._running:
             self._host_worked()
+            self._collecting = True
             finish, number, cell, result = heapq.heappop(self._running)
-            self.clock = max(self.clock, finish + self.message.latency)
+            few = self._peak < self.count
+            self._advance(finish + self.message.latency, "too few shooters" if few else "waiting")
             size = sum(np.asarray(a).nbytes for a in result.values())
-            self._host_spends(self.message.host / 2 + size * self.message.host_per_byte, "messages")
+            self._advance(self.clock + self.message.host / 2 + size * self.message.host_per_byte, "messages")
             self._held[cell] -= 1
+            self._outstanding -= 1
             self._deal()
-            self._mark = perf_counter()
+            self._mark = thread_time()
             yield number, result
         self._host_worked()
 
     def clear(self):
+        self._outstanding -= len(self._waiting)
         self._waiting.clear()
         self._kept.clear()
 
@@ -145,13 +181,16 @@ class ReplayCells(Cells):
 
     def _host_worked(self):
         """The host has worked since the mark: that is so much of the clock."""
-        now = perf_counter()
-        self._host_spends(now - self._mark, "serial host work")
+        now = thread_time()
+        self._advance(self.clock + now - self._mark, "serial host work")
         self._mark = now
 
-    def _host_spends(self, seconds, cause):
-        self._host.append((self.clock, self.clock + seconds, cause))
-        self.clock += seconds
+    def _advance(self, until, cause):
+        """Move the clock on; `cause` is what idle cells wait for meanwhile."""
+        if until > self.clock:
+            self._spent.append({**self._spent[-1], cause: self._spent[-1][cause] + until - self.clock})
+            self._moments.append(until)
+            self.clock = until
 
     def _deal(self):
         """Tasks go to the cells that hold the fewest, as from the real host."""
@@ -160,6 +199,7 @@ class ReplayCells(Cells):
             if self._held[cell] >= AHEAD:
                 return
             number, result, seconds = self._waiting.popleft()
+            self._advance(self.clock + self.message.host / 2, "messages")
             begin = max(self._free[cell], self.clock + self.message.latency)
             self._lose(cell, begin)
             self._free[cell] = begin + seconds
@@ -172,17 +212,32 @@ class ReplayCells(Cells):
         begin = self._free[cell]
         if until <= begin:
             return
-        left = until - begin
-        for start, stop, cause in reversed(self._host):
-            if stop <= begin:
-                break
-            overlap = min(stop, until) - max(start, begin)
-            if overlap > 0:
-                self.lost[cause] += overlap
-                left -= overlap
-        latency = min(max(left, 0.0), self.message.latency)
-        self.lost["messages"] += latency
-        self.lost["too few shooters" if self._few else "waiting"] += max(left - latency, 0.0)
+        end = min(until, self.clock)
+        if begin < end:
+            before, after = self._until(begin), self._until(end)
+            for cause in CAUSES:
+                self.lost[cause] += after[cause] - before[cause]
+            # Of the burst in which it has worked, the cell has done its part.
+            burst = bisect_right(self._bursts, begin)
+            over = self._until(min(self._bursts[burst], end) if burst < len(self._bursts) else end)
+            done = over["too few shooters"] - before["too few shooters"]
+            if self._worked_in(cell, burst - 1):
+                self.lost["too few shooters"] -= done
+                self.lost["waiting"] += done
+        self.lost["messages"] += until - max(begin, end)
+
+    def _worked_in(self, cell, burst):
+        """Whether the cell has worked since a burst began."""
+        return self.busy[cell] > 0 and self._free[cell] > self._bursts[burst]
+
+    def _until(self, moment):
+        """{cause: s} of all the time up to a moment."""
+        k = min(bisect_right(self._moments, moment), len(self._moments) - 1)
+        left = self._moments[k] - moment
+        if left <= 0:
+            return self._spent[k]
+        cause = next(c for c in CAUSES if self._spent[k][c] > self._spent[k - 1][c])
+        return {**self._spent[k], cause: self._spent[k][cause] - left}
 
 
 class SleepingCells(ProcessCells):

@@ -13,10 +13,15 @@ import numpy as np
 import pytest
 
 from cell_radiosity.core.cells import LocalCells, make_cells
-from cell_radiosity.core.experiment import experiment, shots_per_decade, table
+from cell_radiosity.core.experiment import convergence, convergence_table, experiment, law_of, table
+from cell_radiosity.core.host import costliest_first
+from cell_radiosity.core.kernel import Kernel, scene_arrays
+from cell_radiosity.core.lights import make_sources
+from cell_radiosity.core.patches import make_patches
 from cell_radiosity.core.replay import MessageCost, ReplayCells, SleepingCells, TaskTimes, measure_messages
+from cell_radiosity.core.tasks import TASKS
 
-from scenes import Material, Settings, bake, box, join_meshes, run, sheet
+from scenes import Lamp, Material, Settings, bake, box, icosphere, join_meshes, run, sheet
 
 SETTINGS = Settings(patch_edge=None, error=0.05, row_rays=256, gather_rays=32)
 
@@ -85,7 +90,55 @@ def test_law_of_plain_shooting(cells):
     settings = replace(SETTINGS, schedule="paper", rows="rays", error=0.01)
     rounds = run(bake(room(), settings, cells)).solution.rounds
     first, last = (next(r.shots for r in rounds if r.bound <= level) for level in (0.1, 0.001))
-    assert (last - first) / 2 == pytest.approx(shots_per_decade(room(), settings), rel=0.25)
+    assert (last - first) / 2 == pytest.approx(law_of(room(), settings).shots_per_decade, rel=0.25)
+
+
+def test_dynamic_converges_with_fewer_rows_than_sides():
+    """To 10, 1 and 0.1 % of the bound: never more than the law's number of rows, and never fewer for a lower level."""
+    settings = replace(SETTINGS, rows="analytic")
+    law, aimed = law_of(room(), settings), convergence(room(), settings)
+    shots = [reached[1] for reached in aimed.values()]
+    assert shots == sorted(shots)
+    assert 0 < shots[0] <= shots[-1] <= law.sides
+    assert law.shots_per_decade > shots[-1]
+
+
+def test_what_a_task_finds_does_not_depend_on_how_the_work_is_cut(cells):
+    """Sides alone or in company, flat or bent or of several elements: the same bits."""
+    scene = join_meshes([box(n=3), icosphere("ball", 0.3, 3, False)], [Material("white", (0.8, 0.8, 0.8))],
+                        [Lamp("point", (0.1, 0.2, 0.9), (5.0, 5.0, 5.0))])  # fmt: skip
+    patches = make_patches(scene, 0.15 * scene.diagonal)
+    assert patches.flatness.min() < 0.999
+    assert np.diff(patches.element_start).max() > 1
+    sources, _ = make_sources(scene)
+    kernel = Kernel(scene_arrays(scene, patches, sources))
+    sides = np.arange(2 * len(patches))
+    for task, name, arguments in (
+        (TASKS["direct"], "direct", dict(samples=4)), (TASKS["rows"], "hits", dict(rays=16))
+    ):  # fmt: skip
+        whole = task(kernel, sides=sides, seed=0, **arguments)[name]
+        parts = [task(kernel, sides=sides[k : k + 7], seed=0, **arguments)[name] for k in range(0, len(sides), 7)]
+        assert np.array_equal(whole, np.concatenate(parts, axis=-1 if name == "direct" else 0)), name
+
+
+def test_costliest_rows_are_dealt_first(cells):
+    """In the order dealt, analytic rows take less and less time, as far as what is known of patches tells."""
+    scene = room(8)
+    patches = make_patches(scene, None)
+    settings = replace(SETTINGS, rows="analytic")
+    sides = np.arange(0, 2 * len(patches), 2)
+    ordered = costliest_first(sides, patches, settings)
+    assert sorted(ordered) == sides.tolist()
+    sources, _ = make_sources(scene)
+    kernel = Kernel(scene_arrays(scene, patches, sources))
+    rays = []
+    for side in ordered:
+        kernel.spent()
+        TASKS["analytic"](kernel, sides=np.array([side]), seed=0)
+        rays.append(kernel.spent()[1])
+    half = len(rays) // 2
+    assert np.mean(rays[:half]) > 1.05 * np.mean(rays[half:])
+    assert np.corrcoef(rays, np.arange(len(rays)))[0, 1] < -0.3
 
 
 def test_rows_that_do_not_fit_are_used_and_dropped(cells):
@@ -205,6 +258,8 @@ def test_experiment_tells_all(tmp_path):
         assert (r.lost is None) == (r.kind == "measured")
     lines = table(runs).splitlines()
     assert len(lines) == 1 + len(runs)
+    told = convergence_table(runs, law_of(room(3), SETTINGS), None).splitlines()
+    assert sum(line.startswith("paper") for line in told) == 3
     assert sum("replayed" in line for line in lines) == 6
 
 
@@ -219,7 +274,7 @@ def test_cells_command(tmp_path, capfd):
     assert code == 0
     out = capfd.readouterr().out
     assert "replayed" in out
-    assert "shots a decade by law" in out
+    assert "rounds / shots to" in out
     runs = json.loads(report.read_text())["runs"]
     assert max(r["cells"] for r in runs) == 1024
     assert plot.stat().st_size > 10_000
