@@ -13,11 +13,12 @@ import numpy as np
 import pytest
 
 from cell_radiosity.core.cells import LocalCells, make_cells
+from cell_radiosity.core.contacts import cut_contacts
 from cell_radiosity.core.experiment import convergence, convergence_table, experiment, law_of, table
 from cell_radiosity.core.host import costliest_first
 from cell_radiosity.core.kernel import Kernel, scene_arrays
 from cell_radiosity.core.lights import make_sources
-from cell_radiosity.core.patches import make_patches
+from cell_radiosity.core.patches import draw_on_patches, make_patches
 from cell_radiosity.core.replay import MessageCost, ReplayCells, SleepingCells, TaskTimes, measure_messages
 from cell_radiosity.core.tasks import TASKS
 
@@ -105,13 +106,25 @@ def test_dynamic_converges_with_fewer_rows_than_sides():
 
 def test_what_a_task_finds_does_not_depend_on_how_the_work_is_cut(cells):
     """Sides alone or in company, flat or bent or of several elements: the same bits."""
-    scene = join_meshes([box(n=3), icosphere("ball", 0.3, 3, False)], [Material("white", (0.8, 0.8, 0.8))],
-                        [Lamp("point", (0.1, 0.2, 0.9), (5.0, 5.0, 5.0))])  # fmt: skip
-    patches = make_patches(scene, 0.15 * scene.diagonal)
+    lamp = Lamp("point", (0.1, 0.2, 0.9), (5.0, 5.0, 5.0), radius=0.05)
+    block = box("block", (0.1, 0.1, 0.0), (0.33, 0.37, 0.9), 3, False)
+    balls = [icosphere(f"ball {n}", 0.2, n, False) for n in (1, 3)]
+    scene = join_meshes([box(n=7), block, *balls], [Material("white", (0.8, 0.8, 0.8))], [lamp])
+    patches = make_patches(scene, 0.1 * scene.diagonal)
     assert patches.flatness.min() < 0.999
-    assert np.diff(patches.element_start).max() > 1
     sources, _ = make_sources(scene)
+    local = LocalCells()
+    local.start(scene_arrays(scene, patches, sources))
+    patches = cut_contacts(scene, patches, local)
+    assert np.diff(patches.element_start).max() > 1
     kernel = Kernel(scene_arrays(scene, patches, sources))
+    a, b = np.random.default_rng(1).random((2, len(patches), 4))
+    parts = [slice(k, k + 7) for k in range(0, len(patches), 7)]
+    for whole, *cut in zip(
+        *(draw_on_patches(patches, np.arange(len(patches))[s], a[s], b[s]) for s in (slice(None), *parts))
+    ):
+        cut = np.concatenate([np.broadcast_to(c, (len(c), *whole.shape[1:])) for c in cut])
+        assert np.array_equal(whole, cut)
     sides = np.arange(2 * len(patches))
     for task, name, arguments in (
         (TASKS["direct"], "direct", dict(samples=4)), (TASKS["rows"], "hits", dict(rays=16))
