@@ -160,6 +160,11 @@ class ProcessCells(Cells):
         try:
             for index in range(count):
                 self._cells.append(_Process(index))
+        except OSError as error:
+            if not self._cells:
+                raise
+            self.count = len(self._cells)
+            self.note = f"only {self.count} of {count} cells could be started ({error})"
         except BaseException:
             self.stop()
             raise

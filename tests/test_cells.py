@@ -11,7 +11,7 @@ import time
 import numpy as np
 import pytest
 
-from cell_radiosity.core.cells import CellError, LocalCells, make_cells
+from cell_radiosity.core.cells import CellError, LocalCells, _Process, make_cells
 
 from scenes import Lamp, Material, Settings, World, bake, box, icosphere, join_meshes, run
 
@@ -52,32 +52,104 @@ def test_any_number_of_cells_gives_the_same_bits(expected, count):
     assert result.rays == expected.rays
 
 
+BUSY = Settings(gather_rays=512)  # with these, cells have work for a while in every phase
+
+
+@pytest.fixture(scope="module")
+def expected_busy():
+    return run(bake(furnished(12), BUSY, LocalCells()))
+
+
+def strike(cells, phase, blow):
+    """A function that is shown the progress of a bake and calls `blow(cell)` for chosen cells, once, in a phase."""
+    struck = []
+
+    def show(progress):
+        if progress.phase == phase and not struck:
+            struck.extend(blow(cells))
+
+    return show, struck
+
+
+def kill(number):
+    """A blow: kill -9 of the first `number` cells; returns their process ids."""
+
+    def blow(cells):
+        pids = [cell.process.pid for cell in cells._cells[:number]]
+        for pid in pids:
+            os.kill(pid, signal.SIGKILL)
+        return pids
+
+    return blow
+
+
 @pytest.mark.parametrize("phase", ["patches", "transport", "gather"])
 @pytest.mark.parametrize("victims", [1, 2])
-def test_killed_cells_are_replaced(expected, phase, victims):
+def test_killed_cells_are_replaced(expected_busy, phase, victims):
     """kill -9 of one cell or of all, while they have work: the same bits, and the count tells."""
     with make_cells(2) as cells:
-        killed = []
-
-        def kill(progress):
-            if progress.phase == phase and not killed:
-                killed.extend(c.process.pid for c in cells._cells[:victims])
-                for pid in killed:
-                    os.kill(pid, signal.SIGKILL)
-
-        result = run(bake(furnished(12), Settings(gather_rays=512), cells), kill)
-        assert len(killed) == victims
-    assert same(result, run(bake(furnished(12), Settings(gather_rays=512), LocalCells())))
+        show, struck = strike(cells, phase, kill(victims))
+        result = run(bake(furnished(12), BUSY, cells), show)
+        assert len(struck) == victims
+    assert same(result, expected_busy)
     assert result.cells["restarted"] == victims
 
 
-def test_a_cell_that_hangs_is_replaced(expected, monkeypatch):
-    monkeypatch.setattr("cell_radiosity.core.cells.PATIENCE", 2.0)
+@pytest.mark.parametrize("victims", [1, 2])
+def test_cells_killed_at_the_start_are_replaced(expected, victims):
+    """Before the first of them has said a word: while Python itself still starts there."""
     with make_cells(2) as cells:
-        os.kill(cells._cells[1].process.pid, signal.SIGSTOP)
+        kill(victims)(cells)
         result = run(bake(furnished(), SETTINGS, cells))
     assert same(result, expected)
-    assert result.cells["restarted"] == 1
+    assert result.cells["restarted"] == victims
+
+
+def test_a_cell_killed_again_after_its_restart_is_replaced_again(expected_busy):
+    with make_cells(2) as cells:
+        blows = [strike(cells, phase, kill(1)) for phase in ("patches", "transport", "gather")]
+        result = run(bake(furnished(12), BUSY, cells), lambda progress: [show(progress) for show, _ in blows])
+        struck = [pid for _, pids in blows for pid in pids]
+    assert len(set(struck)) == 3
+    assert same(result, expected_busy)
+    assert result.cells["restarted"] == 3
+
+
+@pytest.mark.parametrize("phase", ["patches", "transport", "gather"])
+def test_a_cell_that_stops_answering_is_replaced(expected_busy, phase, monkeypatch):
+    """SIGSTOP: it is alive and its pipe is open, but no sign of life comes."""
+    monkeypatch.setattr("cell_radiosity.core.cells.PATIENCE", 2.0)
+
+    def stop(cells):
+        os.kill(cells._cells[1].process.pid, signal.SIGSTOP)
+        return [cells._cells[1].process.pid]
+
+    with make_cells(2) as cells:
+        show, struck = strike(cells, phase, stop)
+        result = run(bake(furnished(12), BUSY, cells), show)
+    assert same(result, expected_busy)
+    assert result.cells["restarted"] == len(struck) == 1
+    assert not alive(struck[0])
+
+
+@pytest.mark.parametrize("allowed", [0, 1])
+def test_where_processes_are_refused_fewer_do_the_work(expected, monkeypatch, allowed):
+    """As policies and virus scanners have it: without one process the work is done here; one does it alone."""
+    started = []
+
+    def start(index, real=_Process):
+        if len(started) == allowed:
+            raise PermissionError(1, "Operation not permitted")
+        started.append(real(index))
+        return started[-1]
+
+    monkeypatch.setattr("cell_radiosity.core.cells._Process", start)
+    with make_cells(2) as cells:
+        assert isinstance(cells, LocalCells) == (not allowed)
+        assert cells.count == 1
+        result = run(bake(furnished(), SETTINGS, cells))
+    assert same(result, expected)
+    assert any(f.object == "cells" and "not permitted" in f"{f.finding} {f.action}" for f in result.survey.health)
 
 
 def test_without_a_python_the_work_is_done_here(expected, monkeypatch):
@@ -142,10 +214,12 @@ ENDS = {
 
 @pytest.mark.parametrize("end", ENDS)
 def test_no_cell_outlives_its_host(end):
+    shared = shared_memory()
     code = HOST.format(tests=os.path.dirname(__file__), end=ENDS[end])
     host = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
     pids = [int(word) for word in host.stdout.readline().split()]
     assert len(pids) == 2
+    assert all(alive(pid) for pid in pids) or end != "killed"
     if end == "killed":
         host.kill()
     host.wait()
@@ -153,6 +227,12 @@ def test_no_cell_outlives_its_host(end):
     while any(alive(pid) for pid in pids) and time.monotonic() < deadline:
         time.sleep(0.05)
     assert not any(alive(pid) for pid in pids)
+    assert shared_memory() <= shared
+
+
+def shared_memory():
+    """Names of the shared memory blocks of this machine."""
+    return set(os.listdir("/dev/shm")) if os.path.isdir("/dev/shm") else set()
 
 
 def alive(pid):
