@@ -24,10 +24,18 @@ test-blender: setup extension ## tests inside a real Blender: make test-blender 
 extension: setup ## build dist/*.zip for every platform
 	$(VENV)/python tools/extension.py
 
+cells-plot: setup ## the figures of README's section "Cells" anew, into docs/
+	@mkdir -p out
+	for n in 973 1608; do $(VENV)/radiosity cells sample_scenes/paper_$$n.blend --max-patch mesh --rows analytic --error 1% --quiet --report out/cells_$$n.json --plot docs/cells_$$n.png || exit 1; done
+	$(VENV)/radiosity cells sample_scenes/hall.blend --schedule dynamic --error 0.1% --quiet --report out/cells_hall.json --plot docs/cells_hall.png
+
+bench-cells: setup ## how two cells scale, and the replay beside processes that sleep
+	$(VENV)/python tools/bench_cells.py
+
 samples: setup ## make the sample scenes anew (needs bpy 4.2)
 	$(VENV)/python sample_scenes/make.py
 
 lint: setup ## check the style
 	$(VENV)/ruff check . && $(VENV)/ruff format --check .
 
-.PHONY: help setup bake test test-heavy test-blender extension samples lint
+.PHONY: help setup bake test test-heavy test-blender extension samples lint cells-plot bench-cells

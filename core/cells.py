@@ -29,7 +29,8 @@ from .kernel import Kernel
 from .tasks import TASKS
 
 BOOT = os.path.join(os.path.dirname(os.path.abspath(__file__)), "cell_boot.py")
-AHEAD = 3  # tasks that a cell holds at a time, so that it never waits for the host
+AHEAD = 3  # tasks that a cell holds at a time, so that it never waits for the host,
+LAST = 2  # and when there are fewer tasks left than cells
 PATIENCE = 20.0  # seconds without a sign of life from a cell that has work, after which it is replaced
 RESTARTS = 3  # per cell; beyond them the tasks run in this process
 
@@ -216,7 +217,7 @@ class ProcessCells(Cells):
         """Give tasks to the cells that hold the fewest."""
         while self._waiting:
             cell = min(self._cells, key=lambda c: len(c.tasks), default=None)
-            if cell is None or len(cell.tasks) >= AHEAD:
+            if cell is None or len(cell.tasks) >= ahead(len(self._waiting), len(self._cells)):
                 return
             number, name, arguments = task = self._waiting.popleft()
             if not cell.tasks:
@@ -321,6 +322,11 @@ class _Process:
 def _packed(message):
     """A message as bytes, packed once for all cells."""
     return pickle.dumps(message, pickle.HIGHEST_PROTOCOL)
+
+
+def ahead(waiting, count):
+    """How many tasks each of `count` cells may hold when so many wait."""
+    return AHEAD if waiting >= count else LAST
 
 
 def make_cells(count):

@@ -16,7 +16,7 @@ from time import perf_counter, process_time, thread_time
 
 import numpy as np
 
-from .cells import AHEAD, Cells, ProcessCells, run_task
+from .cells import Cells, ProcessCells, ahead, run_task
 from .kernel import Kernel
 
 FILLING = 1 << 24  # bytes of the arrays whose sending is timed
@@ -145,7 +145,8 @@ class ReplayCells(Cells):
             self._collecting = True
             finish, number, cell, result = heapq.heappop(self._running)
             few = self._peak < self.count
-            self._advance(finish + self.message.latency, "too few shooters" if few else "waiting")
+            self._advance(finish, "too few shooters" if few else "waiting")
+            self._advance(finish + self.message.latency, "messages")
             size = sum(np.asarray(a).nbytes for a in result.values())
             self._advance(self.clock + self.message.host / 2 + size * self.message.host_per_byte, "messages")
             self._held[cell] -= 1
@@ -195,8 +196,8 @@ class ReplayCells(Cells):
     def _deal(self):
         """Tasks go to the cells that hold the fewest, as from the real host."""
         while self._waiting:
-            cell = min(range(self.count), key=lambda c: (self._held[c], self._free[c]))
-            if self._held[cell] >= AHEAD:
+            cell = self._held.index(min(self._held))
+            if self._held[cell] >= ahead(len(self._waiting), self.count):
                 return
             number, result, seconds = self._waiting.popleft()
             self._advance(self.clock + self.message.host / 2, "messages")

@@ -1,0 +1,79 @@
+"""How well cells scale on this machine, and whether the replay tells the truth: `make bench-cells`.
+
+Prints the speed-up of two cells over one (transport and gather together, cells warm; the best of five runs each, taken in
+turn), what the host does meanwhile, and the replay's seconds beside those of real processes that sleep as long as the
+tasks were measured to take. Only a quiet machine gives figures worth telling.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from dataclasses import replace
+
+import bpy
+
+from cell_radiosity.addon.read_scene import read_scene
+from cell_radiosity.core.bake import bake, run
+from cell_radiosity.core.cells import make_cells
+from cell_radiosity.core.experiment import replayed
+from cell_radiosity.core.replay import SleepingCells, TaskTimes, measure_messages
+from cell_radiosity.core.settings import Settings
+
+HALL = os.path.join(os.path.dirname(os.path.dirname(os.path.abspath(__file__))), "sample_scenes", "hall.blend")
+
+
+def seconds(baked):
+    """Of transport and gather together."""
+    return baked.seconds["transport"] + baked.seconds["gather"]
+
+
+def speed_up(scene, settings, runs):
+    """Prints the seconds of one and two cells."""
+    with make_cells(1) as one, make_cells(2) as two:
+        found = {one: [], two: []}
+        for cells in found:
+            run(bake(scene, settings, cells))  # warms them up
+        for _ in range(runs):
+            for cells, times in found.items():
+                baked = run(bake(scene, settings, cells))
+                times.append(seconds(baked))
+        best = {cells.count: min(times) for cells, times in found.items()}
+    print(f"{baked.seconds['cpu']:.1f} CPU seconds; best of {runs}: one cell {best[1]:.2f} s, two {best[2]:.2f} s")
+    print(f"speed-up {best[1] / best[2]:.3f}", flush=True)
+
+
+def check_replay(scene, settings, counts):
+    """Prints the replay's seconds beside those of sleeping processes, the best of three."""
+    times = TaskTimes()
+    for count in counts:
+        with make_cells(1) as one:
+            message = measure_messages(one)
+        expected = replayed(scene, settings, count, times, message)
+        with SleepingCells(count, times) as cells:
+            found = min(seconds(run(bake(scene, settings, cells))) for _ in range(3))
+        efficient = sum(expected.busy) / (count * expected.seconds)
+        print(
+            f"{count:3} cells: replayed {expected.seconds:.2f} s, slept {found:.2f} s, "
+            f"{100 * (found / expected.seconds - 1):+.0f} %; busy {100 * efficient:.0f} %", flush=True
+        )  # fmt: skip
+
+
+def main():
+    """Read the command line and measure."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser.add_argument("scene", nargs="?", default=HALL)
+    parser.add_argument("--error", type=float, default=0.5, help="percent (default: 0.5)")
+    parser.add_argument("--gather-rays", type=int, default=1536, help="of a point (default: 1536)")
+    parser.add_argument("--runs", type=int, default=5)
+    parser.add_argument("--counts", default="1,2,8,32,64", help="sleeping processes")
+    arguments = parser.parse_args()
+    bpy.ops.wm.open_mainfile(filepath=arguments.scene)
+    scene, _ = read_scene(bpy.context)
+    settings = replace(Settings.for_error(arguments.error / 100), gather_rays=arguments.gather_rays)
+    speed_up(scene, settings, arguments.runs)
+    check_replay(scene, settings, [int(n) for n in arguments.counts.split(",")])
+
+
+if __name__ == "__main__":
+    main()
