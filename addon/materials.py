@@ -6,7 +6,7 @@ Owns the reading of shader graphs whose values are constant, or an image as thei
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import bpy
 import numpy as np
@@ -24,14 +24,15 @@ class NotConstant(Exception):
 
 @dataclass(frozen=True)
 class _Surface:
-    """Shares of the light: reflected diffusely, mirror-like, sent through diffusely; radiance emitted; and what a
-    texture adds to what is reflected, as a factor of its color."""
+    """Shares of the light: reflected diffusely, mirror-like, sent through diffusely; radiance emitted; what a texture adds
+    to what is reflected, as a factor of its color; and what passes as if nothing were there."""
 
     diffuse: np.ndarray
     gloss: np.ndarray
     through: np.ndarray
     emission: np.ndarray
     tint: np.ndarray
+    clear: np.ndarray
 
     def __add__(self, other):
         return _Surface(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
@@ -44,36 +45,61 @@ def _surface(**parts):
     return _Surface(*(np.asarray(parts.get(f.name, np.zeros(3)), float) for f in fields(_Surface)))
 
 
+@dataclass(frozen=True)
+class Picture:
+    """An image that a socket reads. part: "Color" or "Alpha"; inverted: 1 minus it is meant."""
+
+    image: object
+    uv_map: str
+    part: str = "Color"
+    inverted: bool = False
+
+
 class Graph:
-    """What is met in one shader graph: notes on what is left out, and its texture as (image, UV map), if it has one."""
+    """What is met in one shader graph: notes on what is left out, and Pictures of its color and its alpha, if any."""
 
     def __init__(self):
-        self.notes, self.texture = [], None
+        self.notes, self.texture, self.cut = [], None, None
 
     def use(self, texture):
         if self.texture not in (None, texture):
             raise NotConstant("a second image")
         self.texture = texture
+        self._check()
+
+    def cut_by(self, texture):
+        if self.cut not in (None, texture):
+            raise NotConstant("a second image of alpha")
+        self.cut = texture
+        self._check()
+
+    def _check(self):
+        if self.cut and self.texture and self.cut.uv_map != self.texture.uv_map:
+            raise NotConstant("images on two UV maps")
 
 
 def read_material(material, object, ignored):
-    """The core's Material of a Blender material (None: Blender's default, diffuse 0.8), and its texture as (image, UV
-    map) or None; the texture's number is left to the caller.
+    """The core's Material of a Blender material (None: Blender's default, diffuse 0.8), and the Pictures of its color and
+    its alpha, or None each; the textures' numbers are left to the caller.
 
     object: name of an object that uses it, for `ignored`. Raises NotConstant if its graph must be baked to be known.
     """
     if material is None:
-        return Material(), None
+        return Material(), None, None
     tree = node_tree(material)
     output = tree.get_output_node("CYCLES") if tree else None
     if output is None:
-        return viewport_material(material), None
+        return viewport_material(material), None, None
     graph = Graph()
     surface = _shader(_shown_socket(output, tree), graph)
     if output.inputs["Volume"].is_linked:
         graph.notes.append("its volume is left out")
     if output.inputs["Displacement"].is_linked:
         graph.notes.append("its displacement is left out")
+    alpha = float(np.clip(1.0 - surface.clear.mean(), 0.0, 1.0))
+    if np.ptp(surface.clear) > 0.02:
+        graph.notes.append("what passes is tinted: it is taken as gray")
+    surface = surface * (1.0 / max(alpha, 1e-6))  # what is there, where rays do not pass
     total = surface.diffuse + surface.gloss
     usual = total + 0.5 * surface.tint
     if surface.gloss.sum() > GLOSS_SHARE * max(usual.sum(), 1e-9):
@@ -86,8 +112,69 @@ def read_material(material, object, ignored):
         exitance=tuple(np.pi * surface.emission),
         translucency=tuple(surface.through),
         tint=tuple(surface.tint),
+        alpha=alpha,
     )
-    return read, graph.texture
+    return read, graph.texture, graph.cut
+
+
+def read_alpha(material, object, ignored):
+    """Alpha of a Blender material whose color must be baked to be known: the constant, and the Picture or None."""
+    output = node_tree(material).get_output_node("CYCLES")
+    graph = Graph()
+    try:
+        return _shown_alpha(output.inputs["Surface"], graph), graph.cut
+    except NotConstant as problem:
+        ignored.append((object, f"{material.name}: its alpha varies ({problem}): it is taken as opaque"))
+        return 1.0, None
+
+
+def _shown_alpha(socket, graph):
+    """Alpha of a shader socket: of a Principled BSDF, and of mixes with a Transparent BSDF."""
+    node = socket.links[0].from_node if socket.is_linked else None
+    if node is None:
+        return 1.0
+    if node.type == "REROUTE":
+        return _shown_alpha(node.inputs[0], graph)
+    if node.type == "BSDF_PRINCIPLED":
+        return _alpha(node.inputs["Alpha"], graph)
+    if node.type == "BSDF_TRANSPARENT":
+        return 1.0 - float(_color(node.inputs["Color"]).mean())
+    if node.type == "MIX_SHADER":
+        if (cut := _cut_of_mix(node)) is not None:
+            graph.cut_by(cut[0])
+            return _shown_alpha(cut[1], graph)
+        parts = [_shown_alpha(node.inputs[k], graph) for k in (1, 2)]
+        if parts == [1.0, 1.0]:
+            return 1.0
+        share = np.clip(_value(node.inputs[0]), 0.0, 1.0)
+        return float(parts[0] * (1.0 - share) + parts[1] * share)
+    return 1.0
+
+
+def _alpha(socket, graph):
+    """The constant alpha of a socket; an image that feeds it is noted in the graph."""
+    cut = _image(socket, ("Alpha", "Color"))
+    if cut is None:
+        return float(np.clip(_value(socket), 0.0, 1.0))
+    graph.cut_by(cut)
+    return 1.0
+
+
+def _cut_of_mix(node):
+    """Where a mix's factor is an image and one of its shaders is a clear Transparent BSDF: the Picture of alpha, and the
+    socket of the other shader; else None."""
+    picture = _image(node.inputs[0], ("Alpha", "Color"))
+    if picture is None:
+        return None
+    for clear, other in ((1, 2), (2, 1)):
+        links = node.inputs[clear].links
+        if links and links[0].from_node.type == "BSDF_TRANSPARENT" and _is_white(links[0].from_node.inputs["Color"]):
+            return replace(picture, inverted=clear == 2), node.inputs[other]
+    return None
+
+
+def _is_white(socket):
+    return not socket.is_linked and min(socket.default_value[:3]) > 0.999
 
 
 def _shown_socket(output, tree):
@@ -176,9 +263,8 @@ def _principled(node, graph):
     )
     if clear > 0:
         graph.notes.append("refraction: light that would pass is sent back")
-    if _value(get["Alpha"]) < 1:
-        graph.notes.append("transparency: it is taken as opaque")
-    return surface
+    alpha = _alpha(get["Alpha"], graph)
+    return surface * alpha + _surface(clear=np.full(3, 1.0 - alpha))
 
 
 def _mirror(get):
@@ -213,6 +299,9 @@ def _emission(node, graph):
 
 
 def _mix(node, graph):
+    if (cut := _cut_of_mix(node)) is not None:
+        graph.cut_by(cut[0])
+        return _shader(cut[1], graph)
     share = np.clip(_value(node.inputs[0]), 0.0, 1.0)
     return _shader(node.inputs[1], graph) * (1.0 - share) + _shader(node.inputs[2], graph) * share
 
@@ -222,8 +311,7 @@ def _add(node, graph):
 
 
 def _transparent(node, graph):
-    graph.notes.append("transparency: it is taken as opaque")
-    return _surface()
+    return _surface(clear=np.clip(_color(node.inputs["Color"]), 0.0, 1.0))
 
 
 def _reroute(node, graph):
@@ -273,41 +361,45 @@ def _base(socket, graph):
     return np.zeros(3), np.ones(3)
 
 
-def _image(socket):
-    """The (image, UV map's name or "") that feeds a socket as it is, or None."""
+def _image(socket, parts=("Color",)):
+    """The Picture that feeds a socket as it is, by one of some outputs; or None."""
     node = socket.links[0].from_node if socket.is_linked else None
-    if node is None or node.type != "TEX_IMAGE" or socket.links[0].from_socket.name != "Color":
+    if node is None or node.type != "TEX_IMAGE" or socket.links[0].from_socket.name not in parts:
         return None
     if node.image is None or node.image.source not in {"FILE", "GENERATED"} or node.projection != "FLAT":
         return None
-    vector = node.inputs["Vector"]
+    part, vector = socket.links[0].from_socket.name, node.inputs["Vector"]
     if not vector.is_linked:
-        return node.image, ""
+        return Picture(node.image, "", part)
     feed = vector.links[0].from_node
     if feed.type == "UVMAP":
-        return node.image, feed.uv_map
+        return Picture(node.image, feed.uv_map, part)
     if feed.type == "TEX_COORD" and vector.links[0].from_socket.name == "UV":
-        return node.image, ""
+        return Picture(node.image, "", part)
     return None
 
 
-def read_pixels(image, largest=1024):
-    """The core's pixels (height, width, 3) of an image, linear float32, averaged down to `largest` on a side."""
+def read_pixels(picture, largest=1024):
+    """The core's pixels (height, width, 3) of a Picture, linear float32, averaged down to `largest` on a side."""
+    image = picture.image
     width, height = image.size
     if not width or not height:
-        return np.full((1, 1, 3), (1.0, 0.0, 1.0), np.float32)  # a missing file, as Blender shows it
+        return np.full((1, 1, 3), (1.0, 0.0, 1.0) if picture.part == "Color" else 1.0, np.float32)  # a missing file
     pixels = np.empty(width * height * image.channels, np.float32)
     image.pixels.foreach_get(pixels)
     pixels = pixels.reshape(height, width, image.channels)
-    pixels = np.repeat(pixels[..., :1], 3, axis=2) if image.channels < 3 else pixels[..., :3]
-    if not image.is_float and image.colorspace_settings.name == "sRGB":
-        pixels = np.where(pixels <= 0.04045, pixels / 12.92, ((pixels + 0.055) / 1.055) ** 2.4).astype(np.float32)
+    if picture.part == "Alpha":
+        pixels = np.repeat(pixels[..., 3:], 3, axis=2) if image.channels == 4 else np.ones((1, 1, 3), np.float32)
+    else:
+        pixels = np.repeat(pixels[..., :1], 3, axis=2) if image.channels < 3 else pixels[..., :3]
+        if not image.is_float and image.colorspace_settings.name == "sRGB":
+            pixels = np.where(pixels <= 0.04045, pixels / 12.92, ((pixels + 0.055) / 1.055) ** 2.4).astype(np.float32)
     for axis in (0, 1):
         step = -(-pixels.shape[axis] // largest)
         starts = np.arange(0, pixels.shape[axis], step)
         counts = np.diff(np.append(starts, pixels.shape[axis])).reshape([-1 if k == axis else 1 for k in range(3)])
         pixels = np.add.reduceat(pixels, starts, axis=axis) / counts.astype(np.float32)
-    return pixels
+    return 1.0 - pixels if picture.inverted else pixels
 
 
 def _color(socket):

@@ -23,7 +23,7 @@ from .cycles_read import CannotRead, Unread, read_with_cycles
 from .lamps import read_lamp
 from .marks import is_made, originals_shown
 from .material_setup import passed_by
-from .materials import NotConstant, read_material, read_pixels, read_world, viewport_material
+from .materials import NotConstant, read_alpha, read_material, read_pixels, read_world, viewport_material
 
 SOLID = {"MESH", "CURVE", "SURFACE", "META", "FONT"}
 
@@ -314,22 +314,28 @@ class _Reader:
         if key not in self._numbers:
             number = self._numbers[key] = len(self.materials)
             try:
-                read, texture = read_material(material, object, self.ignored)
+                read, texture, cut = read_material(material, object, self.ignored)
             except NotConstant:
                 read, texture = viewport_material(material), None
+                alpha, cut = read_alpha(material, object, self.ignored)
+                read = replace(read, alpha=alpha)
                 self.unread.add(number)
             if texture is not None:
-                read = replace(read, texture=self._texture(texture[0]))
-                self._uv_maps[number] = texture[1]
+                read = replace(read, texture=self._texture(texture))
+            if cut is not None:
+                read = replace(read, alpha_texture=self._texture(cut))
+            if texture or cut:
+                self._uv_maps[number] = (texture or cut).uv_map
             self.materials.append(read)
         return self._numbers[key]
 
-    def _texture(self, image):
-        """Number of a Blender image among the textures read."""
-        if image.name_full not in self._images:
-            self._images[image.name_full] = len(self.textures)
-            self.textures.append(Texture(image.name, read_pixels(image)))
-        return self._images[image.name_full]
+    def _texture(self, picture):
+        """Number of a Picture among the textures read."""
+        key = (picture.image.name_full, picture.part, picture.inverted)
+        if key not in self._images:
+            self._images[key] = len(self.textures)
+            self.textures.append(Texture(picture.image.name, read_pixels(picture)))
+        return self._images[key]
 
 
 def _shape_key(object):

@@ -83,6 +83,8 @@ def _bake(scene, settings, cells, place):
     if edge is not None and found.needs("occlusion"):
         patches = cut_contacts(scene, patches, cells)
     surfaces, sky = _surfaces(scene, patches, sampled, found)
+    if surfaces.coverage is not None:
+        cells.start({"alpha.coverage": surfaces.coverage[::2]})
     clock.lap("patches")
     yield Progress("patches", 1.0, clock.total())
 

@@ -108,7 +108,7 @@ def survey(scene, settings=None, cells=None):
         "sky": look.sky,
         "textures": _textures(look),
         "two-sided": two_sided,
-        "transparency": _transparency(scene),
+        "transparency": _transparency(look),
         "instances": _instances(scene),
         "islands": _islands(look),
     }
@@ -158,7 +158,7 @@ class _Look:
         self.material = scene.polygon_material[scene.triangle_polygon[self.usable]]
         self.lamps = [lamp for lamp in scene.lamps if max(lamp.strength) > 0]
         self.emitting = emitting_polygons(scene)
-        cells.start(cast_arrays(scene))
+        cells.start(cast_arrays(scene, _forced(settings, "transparency")))
         self._cells = cells
         self._piece = _pieces(scene)  # of each polygon
         self._cast()
@@ -270,7 +270,7 @@ class _Materials:
                 low, high = low + np.asarray(m.tint) * darkest, high + np.asarray(m.tint) * brightest
                 shades.append(np.asarray(m.tint, float))
             rows.append((high + np.asarray(m.translucency)).max())
-            thin.append(max(m.translucency) > 0)
+            thin.append(max(m.translucency) > 0 or m.transparent)
             tint.append(max([_tint(s) for s in shades] + [uneven]))
         self.returned = np.minimum(np.nan_to_num(np.array(rows, float)), LARGEST_REFLECTANCE)
         self.thin, self.tint = np.array(thin, bool), np.array(tint, float)
@@ -502,8 +502,16 @@ def _spread(texture):
     return float((high - low).max()) / max(mean, 1e-9)
 
 
-def _transparency(scene):
-    return Effect("transparency", False, "every surface is opaque")
+def _transparency(look):
+    """Whether rays may pass a surface."""
+    scene = look.scene
+    names = [scene.materials[m].name for m in np.unique(look.material) if scene.materials[m].transparent]
+    if not names:
+        return Effect("transparency", False, "every surface is opaque")
+    faces = int(np.isin([m.name for m in scene.materials], names)[scene.polygon_material].sum())
+    return Effect(
+        "transparency", True, f"rays pass {faces} faces of {', '.join(names[:3])}{', ...' if len(names) > 3 else ''}"
+    )
 
 
 def _instances(scene):

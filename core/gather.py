@@ -189,14 +189,14 @@ def _direct(kernel, start, stop, rays, seed):
     for s in range(len(sources)):
         lit = np.flatnonzero(factor[:, s] > 0)
         if len(lit):
-            weight[lit, s], seen[lit, s] = test(s, lit, 0, np.full(len(lit), 1 if _sharp(sources, s) else TESTS))
+            weight[lit, s], seen[lit, s] = test(s, lit, 0, np.full(len(lit), 1 if _sharp(kernel, s) else TESTS))
 
     # Where the light is partly hidden: more rays, by the source's share of what the point could get.
     possible = factor * sources.strength.max(axis=1)
     share = ratio(possible, possible.sum(axis=1, keepdims=True))
     dim = (possible * ratio(seen, weight)).sum(axis=1) < DIM * possible.sum(axis=1)
     for s in range(len(sources)):
-        if _sharp(sources, s):
+        if _sharp(kernel, s):
             continue
         state = np.where(weight[:, s] > 0, np.sign(seen[:, s]) + (seen[:, s] < weight[:, s]), -1)
         differs = (state[here] != state[there]) & (state[here] >= 0) & (state[there] >= 0)
@@ -212,9 +212,9 @@ def _direct(kernel, start, stop, rays, seed):
     return np.einsum("ks,sc->ck", arriving, sources.strength)
 
 
-def _sharp(sources, s):
+def _sharp(kernel, s):
     """Whether a source is a mere point, which is seen or not."""
-    return sources.kind[s] != FLAT and sources.radius[s] == 0
+    return kernel.sources.kind[s] != FLAT and kernel.sources.radius[s] == 0 and not kernel.caster.veiled
 
 
 def _pairs(points, start, stop):

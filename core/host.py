@@ -28,6 +28,7 @@ BATCH_SHARE = 0.5
 FACING = 256  # patches that tell how many are in front of a side
 BLOCK = 1 << 16  # rays of the rows that a solver step gathers over at a time: their light stays in the cache
 KRYLOV = 8  # directions that the solve combines at a time
+LEAST_COVERAGE = 1e-3  # of a patch, which keeps its irradiance finite
 SWEEPS = 2000  # of the solve, at most
 
 
@@ -192,7 +193,10 @@ class Transport:
     """
 
     def __init__(self, area, surfaces, direct, sky, rows, own=None, island=None):
-        self.area, self.surfaces, self.sky = np.repeat(area, 2), surfaces, np.asarray(sky, float)[:, None]
+        self.area = np.repeat(area, 2)
+        if surfaces.coverage is not None:  # of what rays may pass, the part that light falls on
+            self.area = self.area * np.maximum(surfaces.coverage, LEAST_COVERAGE)
+        self.surfaces, self.sky = surfaces, np.asarray(sky, float)[:, None]
         self.direct = direct
         self.rows = rows
         self.own = self.area * (surfaces.found if own is None else own)

@@ -10,12 +10,14 @@ from functools import cached_property
 
 import numpy as np
 
+from .alpha import Alpha, make_alpha
 from .lights import Sources
 from .patches import Patches, patch_of_hit
 from .points import Points
 from .raycast import RayCaster
 from .records import from_arrays, to_arrays
 
+NONE = np.zeros(0)  # stands for an array that there is not: cells keep what they are not given anew
 BLOCK = 1 << 14  # rays cast at a time: their arrays stay in the processor's cache
 
 
@@ -25,15 +27,22 @@ def blocks(count, each):
     return [slice(k, min(k + size, count)) for k in range(0, count, size)]
 
 
-def cast_arrays(scene):
-    """The arrays that cells need to cast rays, as {name: array}."""
-    return {"scene.vertices": scene.vertices, "scene.triangles": scene.triangles, "scene.usable": scene.usable}
+def cast_arrays(scene, veiled=False):
+    """The arrays that cells need to cast rays, as {name: array}. veiled: as if rays might pass surfaces, even if none can."""
+    alpha = make_alpha(scene, veiled)
+    return {
+        "scene.vertices": scene.vertices, "scene.triangles": scene.triangles, "scene.usable": scene.usable,
+        **({"scene.alpha.kind": NONE} if alpha is None else to_arrays("scene.alpha", alpha)),
+    }  # fmt: skip
 
 
 def transport_arrays(patches, sources, occluded=True):
     """Those that they need beside them for transport. occluded: something may stand between a source and what it could
     light; else no ray looks whether it does."""
-    return {**to_arrays("patches", patches), **to_arrays("sources", sources), "occlusion.any": np.array(occluded)}
+    return {
+        **to_arrays("patches", patches), **to_arrays("sources", sources),
+        "occlusion.any": np.array(occluded), "alpha.coverage": NONE,
+    }  # fmt: skip
 
 
 def scene_arrays(scene, patches, sources):
@@ -49,7 +58,8 @@ class Kernel:
 
     @cached_property
     def caster(self):
-        return RayCaster(self.vertices, self.triangles, self.arrays["scene.usable"])
+        alpha = from_arrays(Alpha, "scene.alpha", self.arrays) if len(self.arrays["scene.alpha.kind"]) else None
+        return RayCaster(self.vertices, self.triangles, self.arrays["scene.usable"], alpha)
 
     @property
     def vertices(self):
@@ -66,6 +76,12 @@ class Kernel:
     @cached_property
     def sources(self):
         return from_arrays(Sources, "sources", self.arrays)
+
+    @property
+    def coverage(self):
+        """(N,) share of patches that is there, or None: all of all."""
+        coverage = self.arrays["alpha.coverage"]
+        return coverage if len(coverage) else None
 
     @property
     def occluded(self):

@@ -199,13 +199,13 @@ def test_rays(sources, s, caster, position, normal, geometric, start, a, b):
     weight = np.where(dot(toward, geometric) > 0, np.maximum(weight, 0.0), 0.0)
     cast = np.flatnonzero(weight)
     if sources.kind[s] == SUN:
-        blocked = caster.blocked_toward(start[cast], toward[cast].astype(np.float32))
+        blocked = caster.blocked_toward(start[cast], toward[cast].astype(np.float32), a[cast])
     elif sources.kind[s] == FLAT:
         # Aim at a place just above the face, on the side that is seen: the face does not block itself.
         side = np.sign(-dot(toward[cast], sources.direction[s]))[:, None]
-        blocked = caster.blocked(start[cast], caster.start(aim[cast], side * sources.direction[s]))
+        blocked = caster.blocked(start[cast], caster.start(aim[cast], side * sources.direction[s]), a[cast])
     else:
-        blocked = caster.blocked(start[cast], caster.place(aim[cast]))
+        blocked = caster.blocked(start[cast], caster.place(aim[cast]), a[cast])
     seen = weight.copy()
     seen[cast[blocked]] = 0.0
     return weight, seen
@@ -328,7 +328,8 @@ def _emitting_flats(scene):
     area = np.bincount(
         scene.triangle_polygon[scene.usable], scene.triangle_normal_area[1][scene.usable], len(scene.polygon_material)
     )
-    emitting = np.flatnonzero((exitance[scene.polygon_material] > 0) & (area > 0))
+    whole = np.array([not m.transparent for m in scene.materials], bool)  # rays find the light of others
+    emitting = np.flatnonzero(((exitance > 0) & whole)[scene.polygon_material] & (area > 0))
     normal = newell_normals(scene.vertices, scene.polygon_start, scene.corner_vertex)
     flats, waiting = [], _coplanar_groups(scene, emitting, normal) if len(emitting) <= MOST_MERGED else []
     while waiting:

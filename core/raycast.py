@@ -14,17 +14,21 @@ import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
+from .scene import normal_and_area
+
 OFFSET = 1e-5  # of the scene's diagonal: no false hits and no leaks in 250 000 segments of the closed-box test
 
 
 class RayCaster:
     """Casts rays at the triangles of a scene. Points are given in world space, float64; directions are unit vectors.
 
-    vertices: (V, 3) float64. triangles: (T, 3) int. usable: (T,) bool, the triangles that can be hit.
+    vertices: (V, 3) float64. triangles: (T, 3) int. usable: (T,) bool, the triangles that can be hit. alpha: the Alpha
+    of the triangles that rays may pass, or None.
     `frame` is (center, scale): what turns world space into the space that is traced.
     """
 
-    def __init__(self, vertices, triangles, usable):
+    def __init__(self, vertices, triangles, usable, alpha=None):
+        self._alpha = alpha
         self._triangle = np.flatnonzero(usable).astype(np.int32)
         used = np.unique(triangles[usable])
         self._all = len(self._triangle) == len(triangles)
@@ -36,8 +40,15 @@ class RayCaster:
         number[used] = np.arange(len(used), dtype=np.int32)
         self._scene = EmbreeScene(robust=True)
         self._seconds, self._rays = 0.0, 0
+        if alpha is not None:
+            self._normal = normal_and_area(*np.moveaxis(vertices[triangles], 1, 0))[0].astype(np.float32)
         if len(used):
             TriangleMesh(self._scene, self.place(vertices[used]), number[triangles[usable]])
+
+    @property
+    def veiled(self):
+        """Whether rays may pass some of the triangles."""
+        return self._alpha is not None
 
     def place(self, points):
         """World points (..., 3) in the space that is traced, float32."""
@@ -58,7 +69,39 @@ class RayCaster:
         if not len(self._triangle):
             none = np.zeros(len(origins), np.float32)
             return np.full(len(origins), -1, np.int32), none, none, none, np.zeros(len(origins), bool)
-        hit = self._run(origins, directions, output=True)
+        found = self._first(origins, directions)
+        if self._alpha is not None:
+            for going, more in self._further(origins, directions, found):
+                for values, new in zip(found, more):
+                    values[going] = new
+        return found
+
+    def blocked(self, origins, targets, key=None):
+        """(K,) bool: whether anything lies between origins and targets, both (K, 3) float32 from `start` or `place`.
+
+        key: (K,) numbers that tell rays between the same two places apart, which may pass surfaces by chance.
+        """
+        return self._stopped(origins, targets - origins, key, dists=1.0)
+
+    def blocked_toward(self, origins, directions, key=None):
+        """(K,) bool: whether rays without end hit anything; origins from `start`, directions (K, 3) float32; key: see
+        `blocked`."""
+        return self._stopped(origins, directions, key)
+
+    def _stopped(self, origins, directions, key, **options):
+        """(K,) bool: whether rays are stopped by something that they do not pass."""
+        if not len(self._triangle):
+            return np.zeros(len(origins), bool)
+        if self._alpha is None:
+            return self._run(origins, directions, query="OCCLUDED", **options) >= 0
+        found = self._first(origins, directions, **options)
+        for going, more in self._further(origins, directions, found, options.get("dists", np.inf), key):
+            found[0][going] = more[0]
+        return found[0] >= 0
+
+    def _first(self, origins, directions, **options):
+        """What `hits` returns, of the first triangles that are met, whatever they are."""
+        hit = self._run(origins, directions, output=True, **options)
         normal = hit["Ng"]
         facing = normal[:, 0] * directions[:, 0]
         facing += normal[:, 1] * directions[:, 1]
@@ -68,17 +111,27 @@ class RayCaster:
             triangle = np.where(triangle < 0, -1, np.take(self._triangle, triangle))
         return triangle, hit["u"], hit["v"], hit["tfar"], facing > 0
 
-    def blocked(self, origins, targets):
-        """(K,) bool: whether anything lies between origins and targets, both (K, 3) float32 from `start` or `place`."""
-        if not len(self._triangle):
-            return np.zeros(len(origins), bool)
-        return self._run(origins, targets - origins, dists=1.0, query="OCCLUDED") >= 0
-
-    def blocked_toward(self, origins, directions):
-        """(K,) bool: whether rays without end hit anything; origins from `start`, directions (K, 3) float32."""
-        if not len(self._triangle):
-            return np.zeros(len(origins), bool)
-        return self._run(origins, directions, query="OCCLUDED") >= 0
+    def _further(self, origins, directions, found, end=np.inf, key=None):
+        """For rays that pass what they have `found`, again and again: yields their numbers (L,), and what they find behind
+        it, up to the distance `end`."""
+        name = np.column_stack([origins, directions] if key is None else [origins, directions, key])
+        name = name.astype(np.float32).view(np.uint32)
+        going, depth, start = np.arange(len(origins)), 0, origins
+        triangle, u, v, distance, back = found
+        travelled = distance
+        while True:
+            passed = self._alpha.passed(triangle, u, v, name[going], depth)
+            if not passed.any():
+                return
+            # The next ray sets out above the other side of what was passed.
+            lift = np.where(back[passed], OFFSET, -OFFSET)[:, None] * self._normal[triangle[passed]]
+            going, travelled, depth = going[passed], travelled[passed], depth + 1
+            direction = directions[going]
+            start = (start[passed] + distance[passed, None] * direction + lift).astype(np.float32)
+            triangle, u, v, distance, back = self._first(start, direction)
+            travelled = travelled + distance
+            triangle = np.where(travelled < end, triangle, -1)
+            yield going, (triangle, u, v, travelled, back)
 
     def spent(self):
         """CPU seconds inside Embree and rays cast since the last call."""

@@ -85,6 +85,8 @@ def _analytic_row(kernel, side, seed):
         seen[mixed] += more[0]
         weight[mixed] += more[1]
     share = share[receiver] * ratio(seen, weight)
+    if kernel.coverage is not None:  # the rest goes on to what lies behind
+        share *= kernel.coverage[receiver]
     sent = np.flatnonzero(share)
     return 2 * receiver[sent] + behind[sent], share[sent] / max(share.sum(), 1.0)
 

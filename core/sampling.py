@@ -32,10 +32,28 @@ def scatter(keys, salt):
 
     The mixing steps are those of the SplitMix64 generator (Steele, Lea, Flood 2014).
     """
-    z = np.asarray(keys).astype(np.uint64) + np.uint64((0x9E3779B97F4A7C15 * (salt + 1)) & (2**64 - 1))
+    return _fraction(_mixed(np.asarray(keys).astype(np.uint64) + _step(salt + 1)))
+
+
+def mix(keys, salt):
+    """(K,) numbers in [0, 1) that look unrelated for rows of keys (K, N) that differ anywhere. keys: uint32; salt: int."""
+    z = np.full(len(keys), _step(salt + 1))
+    for column in keys.T:
+        z = _mixed(z ^ column.astype(np.uint64)) + _step(1)
+    return _fraction(z)
+
+
+def _step(count):
+    return np.uint64((0x9E3779B97F4A7C15 * count) & (2**64 - 1))
+
+
+def _mixed(z):
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    z = z ^ (z >> np.uint64(31))
+    return z ^ (z >> np.uint64(31))
+
+
+def _fraction(z):
     return (z >> np.uint64(11)).astype(np.float64) * 2.0**-53
 
 

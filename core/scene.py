@@ -24,6 +24,8 @@ class Material:
     reflectance, translucency: (3,) share of the irradiance sent back and sent through, diffusely [-].
     exitance: (3,) emitted light, leaving both sides [W/m^2]; Blender's emission strength times pi.
     texture: number of a texture of the scene, tint: (3,); the texture times the tint is added to the reflectance.
+    alpha: share of the surface that is there, times that of alpha_texture, the number of a texture whose first channel is
+    meant, if there is one. Rays pass the rest; reflectance, exitance and translucency are those of what is there.
     """
 
     name: str = "default"
@@ -32,6 +34,13 @@ class Material:
     translucency: tuple = BLACK
     texture: int | None = None
     tint: tuple = (1.0, 1.0, 1.0)
+    alpha: float = 1.0
+    alpha_texture: int | None = None
+
+    @property
+    def transparent(self):
+        """Whether rays may pass it."""
+        return self.alpha < 1.0 or self.alpha_texture is not None
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
+from .alpha import make_alpha
 from .patches import patch_of_hit
 from .sampling import GOLDEN, scatter
 from .vectors import counted
@@ -24,18 +25,22 @@ SAMPLES = 16  # of a texture, per cell of a facet's grid
 class Surfaces:
     """What sides do with light, (C, 2 N) each, a row per color channel: reflectance, translucency [-], and exitance
     [W/m^2] in two parts: `sampled`, of faces that are sampled as sources, and `found`, which rays find by meeting it.
+    coverage: (2 N,) share of a side that is there, where rays may pass some; None: all of all. The other fields are those
+    of what is there.
     """
 
     reflectance: np.ndarray
     translucency: np.ndarray
     sampled: np.ndarray
     found: np.ndarray
+    coverage: np.ndarray | None = None
 
     def one_channel(self):
         """The Surfaces of a scene without color: one channel, the mean of all."""
-        return Surfaces(
-            *(x.mean(axis=0, keepdims=True) for x in (self.reflectance, self.translucency, self.sampled, self.found))
-        )
+        mean = {
+            n: getattr(self, n).mean(axis=0, keepdims=True) for n in ("reflectance", "translucency", "sampled", "found")
+        }
+        return replace(self, **mean)
 
     def reflecting(self, sides):
         """The Surfaces with only some sides (2 N,) bool reflecting light."""
@@ -109,11 +114,13 @@ def make_surfaces(scene, patches, sampled):
     reflectance, exitance, translucency = (
         _of_materials(scene, n)[material] for n in ("reflectance", "exitance", "translucency")
     )
-    _paint(scene, patches, reflectance, exitance)
+    alpha = make_alpha(scene)
+    _paint(scene, patches, reflectance, exitance, alpha)
     excess = np.maximum((reflectance + translucency) / LARGEST_REFLECTANCE, 1.0)
     own = sampled[patches.polygon][:, None]
     parts = (reflectance / excess, translucency / excess, np.where(own, exitance, 0.0), np.where(own, 0.0, exitance))
-    return Surfaces(*(np.repeat(part.T, 2, axis=1) for part in parts))
+    coverage = None if alpha is None else np.repeat(_coverage(scene, patches, alpha), 2)
+    return Surfaces(*(np.repeat(part.T, 2, axis=1) for part in parts), coverage)
 
 
 def corner_surfaces(scene, corner):
@@ -172,8 +179,17 @@ def _bounded(values, share=True):
     return np.clip(np.nan_to_num(values), 0.0, LARGEST_REFLECTANCE if share else None)
 
 
-def _paint(scene, patches, reflectance, exitance):
-    """Set the reflectance and exitance (N, 3) of patches whose surfaces are textured or were read, in place."""
+def _coverage(scene, patches, alpha):
+    """(N,) mean alpha of patches."""
+    triangle, uv = _spread(scene, patches, np.flatnonzero((alpha.kind > 0) & scene.usable))
+    coverage = np.ones((len(patches), 1))
+    _set_means(scene, patches, triangle, uv, alpha.at(triangle, uv[:, 0], uv[:, 1])[:, None], coverage)
+    return coverage[:, 0]
+
+
+def _paint(scene, patches, reflectance, exitance, alpha):
+    """Set the reflectance and exitance (N, 3) of patches whose surfaces are textured or were read, in place: of the part
+    of them that is there, by its Alpha (None: all)."""
     textured = [k for k, m in enumerate(scene.materials) if m.texture is not None]
     if textured:
         material = scene.polygon_material[scene.triangle_polygon]
@@ -186,11 +202,15 @@ def _paint(scene, patches, reflectance, exitance):
             u, v = uv[chosen, :1], uv[chosen, 1:]
             place = corner[:, 0] + u * (corner[:, 1] - corner[:, 0]) + v * (corner[:, 2] - corner[:, 0])
             values[chosen] = np.asarray(m.reflectance) + np.asarray(m.tint) * scene.textures[m.texture].at(place)
-        _set_means(scene, patches, triangle, uv, _bounded(values), reflectance)
+        there = None if alpha is None else alpha.at(triangle, uv[:, 0], uv[:, 1])[:, None]
+        values = _bounded(values) if there is None else _bounded(values) * there
+        _set_means(scene, patches, triangle, uv, values, reflectance, there)
     if scene.readings is not None:
         read = scene.readings
-        _set_means(scene, patches, read.triangle, read.uv, _bounded(read.reflectance), reflectance)
-        _set_means(scene, patches, read.triangle, read.uv, np.maximum(read.exitance, 0.0), exitance)
+        there = None if alpha is None else alpha.at(read.triangle, read.uv[:, 0], read.uv[:, 1])[:, None]
+        _set_means(scene, patches, read.triangle, read.uv, _bounded(read.reflectance), reflectance, there)
+        _set_means(scene, patches, read.triangle, read.uv, np.maximum(read.exitance, 0.0), exitance, there)
+        np.minimum(reflectance, LARGEST_REFLECTANCE, out=reflectance)
 
 
 def _spread(scene, patches, triangles):
@@ -204,19 +224,21 @@ def _spread(scene, patches, triangles):
     return triangles[owner], np.stack([np.where(fold, 1 - u, u), np.where(fold, 1 - v, v)], axis=1)
 
 
-def _set_means(scene, patches, triangle, uv, values, result):
-    """Set rows of `result` (N, 3) to the mean of the values (S, 3) that lie on each patch; a patch of a touched polygon
-    without any gets its polygon's mean."""
+def _set_means(scene, patches, triangle, uv, values, result, weight=None):
+    """Set rows of `result` (N, D) to the sum of the values (S, D) that lie on each patch over that of their weights (S, 1),
+    None: 1; a patch of a touched polygon without any gets its polygon's."""
     uv = uv.astype(np.float32)
     patch = patch_of_hit(patches, scene.vertices, scene.triangles, triangle, uv[:, 0], uv[:, 1])
-    own = _means(patch, values, len(patches))
-    whole = _means(scene.triangle_polygon[triangle], values, len(scene.polygon_material))
+    polygon = scene.triangle_polygon[triangle]
+    weight = np.ones(len(values)) if weight is None else np.maximum(weight[:, 0], 1e-9)
+    own = _means(patch, values, weight, len(patches))
+    whole = _means(polygon, values, weight, len(scene.polygon_material))
     touched = ~np.isnan(whole[patches.polygon, 0])
     result[touched] = np.where(np.isnan(own), whole[patches.polygon], own)[touched]
 
 
-def _means(owner, values, count):
-    """(count, 3) means of values (S, 3) by owner (S,); NaN where there is none."""
-    number = np.bincount(owner, minlength=count).astype(float)
-    number[number == 0] = np.nan
-    return np.stack([np.bincount(owner, values[:, c], count) for c in range(3)], axis=1) / number[:, None]
+def _means(owner, values, weight, count):
+    """(count, D) sums of values (S, D) over sums of weights (S,), by owner (S,); NaN where there is none."""
+    total = np.bincount(owner, weight, count)
+    total[np.bincount(owner, minlength=count) == 0] = np.nan
+    return np.stack([np.bincount(owner, column, count) for column in values.T], axis=1) / total[:, None]
