@@ -13,12 +13,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from .cells import LocalCells
+from .graphs import components
 from .kernel import cast_arrays
 from .lights import emitting_polygons, lamp_outline, lamp_power
 from .sampling import R2, R4, hemisphere, scatter, tangents
 from .settings import EFFECTS, Settings
 from .surfaces import LARGEST_REFLECTANCE
-from .vectors import components, dot
+from .vectors import dot
 
 DARK = 1e-3  # an object whose front gets less than this share of what its back gets is lit from behind
 SHARE = 0.2  # of the error asked for that one effect may be worth when it is left out
@@ -204,8 +205,7 @@ class _Look:
             lit |= open_to_sky
         # Both sides of what light passes through are one.
         thin = np.unique(self._piece[self.materials.thin[scene.polygon_material]])
-        label = components(2 * pieces, np.concatenate([*here, 2 * thin]), np.concatenate([*there, 2 * thin + 1]))
-        label = np.unique(label, return_inverse=True)[1].reshape(-1)
+        label = components(np.concatenate([*here, 2 * thin]), np.concatenate([*there, 2 * thin + 1]), 2 * pieces)
         self.island = np.stack([label[2 * self._piece], label[2 * self._piece + 1]], axis=1).astype(np.int32)
         self.lit_islands = np.unique(label[lit])
         # A back side matters if its island has light.
@@ -554,7 +554,7 @@ def _pieces(scene):
     corner = vertex.reshape(-1)[scene.corner_vertex]
     polygon = np.repeat(np.arange(len(size)), size)
     count = int(vertex.max()) + 1
-    label = components(count + len(size), corner, count + polygon)[count:]
+    label = components(corner, count + polygon, count + len(size))[count:]
     return np.unique(label, return_inverse=True)[1].reshape(-1)
 
 

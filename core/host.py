@@ -15,7 +15,8 @@ from time import perf_counter
 
 import numpy as np
 
-from .vectors import components, ratio
+from .graphs import components
+from .vectors import ratio
 
 TASK_RAYS = 1 << 15  # of one task at most: some 10 ms
 LEAST_RAYS = 1 << 11  # of one task at least: less is not worth a message
@@ -248,7 +249,7 @@ class Transport:
                 self.ahead[:, part] = 0.0
             if self.island.any():
                 here, there = rows.links(self.island, first)
-                self.island = components(int(self.island.max()) + 1, here, there)[self.island]
+                self.island = components(here, there, int(self.island.max()) + 1)[self.island]
             power = self.unshot[:, part]
             self.unshot[:, part] = 0.0
             arrived, escaped = rows.shoot(power, first)

@@ -48,18 +48,3 @@ def counted(count):
 def ratio(a, b):
     """a / b where b is positive, else 0."""
     return np.divide(a, b, out=np.zeros(np.broadcast_shapes(np.shape(a), np.shape(b))), where=np.asarray(b) > 0)
-
-
-def components(count, a, b):
-    """(count,) for each of `count` things the lowest number that it is joined to, by pairs a, b (K,) of them."""
-    label = np.arange(count)
-    while True:
-        low = np.minimum(label[a], label[b])
-        joined = label.copy()
-        np.minimum.at(joined, label[a], low)
-        np.minimum.at(joined, label[b], low)
-        while (joined[joined] != joined).any():
-            joined = joined[joined]
-        if (joined == label).all():
-            return label
-        label = joined
