@@ -18,6 +18,9 @@ test: setup ## all tests but the heavy ones
 test-heavy: setup ## the heavy tests
 	$(VENV)/pytest -m heavy
 
+hard-cases: setup ## run the hard cases, large ones too, and write their table
+	$(VENV)/python tests/hard_cases/write_table.py --heavy
+
 test-blender: setup extension ## tests inside a real Blender: make test-blender BLENDER=path
 	BLENDER="$(BLENDER)" $(VENV)/pytest -m blender
 
@@ -38,4 +41,4 @@ samples: setup ## make the sample scenes anew (needs bpy 4.2)
 lint: setup ## check the style
 	$(VENV)/ruff check . && $(VENV)/ruff format --check .
 
-.PHONY: help setup bake test test-heavy test-blender extension samples lint cells-plot bench-cells
+.PHONY: help setup bake test test-heavy hard-cases test-blender extension samples lint cells-plot bench-cells

@@ -10,6 +10,7 @@ from time import perf_counter
 
 from ..core.bake import bake, run
 from ..core.cells import make_cells
+from ..core.health import mend
 from ..core.lights import emitting_polygons
 from ..core.report import make_report
 from ..core.settings import Settings
@@ -135,6 +136,10 @@ class Job:
         )
         if not len(self.scene.triangles):
             raise Refused("there is no mesh to bake: no visible object with faces")
+        self.scene = mend(self.scene)
+        self._refuse(self.scene.health)
+        if not self.scene.usable.any():
+            raise Refused("there is no mesh to bake: no face has an area")
         if not self.targets:
             what = f"no mesh matches {', '.join(patterns)}" if patterns else "no mesh of this file can be written"
             raise Refused(f"there is nothing to write to: {what}")
@@ -153,6 +158,10 @@ class Job:
         survey = self.result.survey
         findings = (*survey.health, *self.output.findings)
         self.result = replace(self.result, survey=replace(survey, health=findings))
+        self._refuse(findings)
+
+    def _refuse(self, findings):
+        """Raise Refused for what is wrong with the data, if --strict asks for that."""
         if self.options.strict and findings:
             first = findings[0]
             raise Refused(f"{first.object}: {first.finding} ({len(findings)} findings; --strict)")

@@ -10,7 +10,7 @@ import bpy
 import numpy as np
 
 from ..core.atlas import NoUnwrapper, make_atlas, read_atlas
-from ..core.effects import Finding
+from ..core.health import Finding
 from ..core.layers import layer_colors, texel_colors
 from ..core.lightmap import find_seams, look_up, make_images, make_texels
 from ..core.raycast import RayCaster

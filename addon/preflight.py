@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import bpy
 
-from ..core.effects import Finding
+from ..core.health import Finding
 from .job import NOTHING, wanted_by
 from .marks import is_made, made_layers
 from .read_scene import SOLID, rendered_names

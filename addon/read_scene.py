@@ -16,7 +16,7 @@ import numpy as np
 from mathutils import Matrix
 
 from ..core.bake import run
-from ..core.effects import Finding
+from ..core.health import Finding
 from ..core.scene import Mesh, World, join_meshes
 from ..core.surfaces import Texture
 from .cycles_read import CannotRead, Unread, read_with_cycles

@@ -12,7 +12,7 @@ import bpy
 import numpy as np
 
 from ..core.bake import run
-from ..core.effects import Finding
+from ..core.health import Finding
 from ..core.layers import vertex_means
 from .errors import Refused
 from .marks import KEY, hide, is_made, made_layers, mark, mark_layers, originals_shown

@@ -13,11 +13,13 @@ from .cells import peak_memory
 from .contacts import cut_contacts
 from .effects import Survey, simplified, survey
 from .gather import Light, gather
+from .health import mend
 from .host import Solution, solve
 from .kernel import transport_arrays
 from .lights import make_sources
 from .paper import solve_paper
 from .patches import Patches, make_patches, patch_of_hit
+from .placing import refill, thin_findings
 from .points import Points, make_points
 from .scene import Scene
 from .settings import Settings
@@ -69,6 +71,7 @@ def bake(scene, settings, cells, place=None):
 
 def _bake(scene, settings, cells, place):
     clock = _Clock(cells)
+    scene = mend(scene)
     found = survey(scene, settings, cells)
     clock.lap("survey")
     yield Progress("survey", 1.0, clock.total())
@@ -96,12 +99,18 @@ def _bake(scene, settings, cells, place):
     clock.lap("transport")
 
     flipped = _flipped(scene, patches, solution, settings.side)
-    points = place(scene, flipped, cells) if place else make_points(scene, flipped)
+    if place:
+        points = place(scene, flipped, cells)
+    else:
+        points = make_points(scene, flipped, cells if found.needs("occlusion") else None)
     gathering = gather(points, solution, surfaces, sky, scene.diagonal, cells, settings)
     light = yield from _each(gathering, lambda done: _of_points(*done, clock))
+    light = refill(points, light)
     clock.lap("gather")
+    thin = tuple(thin_findings(scene, points))
+    after = found.after(scene, patches, solution, settings.error, cells.note, thin)
     return Bake(
-        scene, settings, found.after(scene, patches, solution, cells.note), patches, points, solution, light,
+        scene, settings, after, patches, points, solution, light,
         seconds=clock.seconds(), rays=clock.rays(), cells=clock.cells(),
     )  # fmt: skip
 

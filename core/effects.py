@@ -14,6 +14,7 @@ import numpy as np
 
 from .cells import LocalCells
 from .graphs import components
+from .health import Finding, audit, mend
 from .kernel import cast_arrays
 from .lights import emitting_polygons, lamp_outline, lamp_power
 from .sampling import R2, R4, hemisphere, scatter, tangents
@@ -49,15 +50,6 @@ class Effect:
 
 
 @dataclass(frozen=True)
-class Finding:
-    """Something wrong with an object's data, and what was done about it."""
-
-    object: str
-    finding: str
-    action: str
-
-
-@dataclass(frozen=True)
 class Survey:
     """Effects, in the order of `EFFECTS`; ignored: (object, reason) of what cannot be simulated; health: findings.
 
@@ -75,14 +67,15 @@ class Survey:
         """Whether an effect is simulated."""
         return next(e.needed for e in self.effects if e.name == name)
 
-    def after(self, scene, patches, solution, cells_note=""):
-        """The survey with what only the bake shows: objects that are lit from behind, and cells that failed."""
+    def after(self, scene, patches, solution, error, cells_note="", more=()):
+        """The survey with what only the bake shows: objects that are lit from behind, power that is unaccounted for,
+        and cells that failed. error: the relative error asked for; more: findings from elsewhere."""
         owner = scene.polygon_object[patches.polygon]
         power = patches.area[:, None] * solution.irradiance.sum(axis=0).reshape(-1, 2)
         front, back = (np.bincount(owner, power[:, k], len(scene.objects)) for k in range(2))
         behind = np.flatnonzero(scene.written & (front < DARK * back))
         faces = np.bincount(scene.polygon_object, minlength=len(scene.objects))
-        more = (
+        dark = (
             Finding(
                 scene.objects[o],
                 f"{faces[o]} faces are lit from behind",
@@ -91,11 +84,12 @@ class Survey:
             for o in behind
         )
         cells = (Finding("cells", "the cells could not all be used", cells_note),) if cells_note else ()
-        return replace(self, health=(*self.health, *more, *cells))
+        return replace(self, health=(*self.health, *dark, *more, *audit(scene, solution, error), *cells))
 
 
 def survey(scene, settings=None, cells=None):
     """The Survey of a scene at the error that the settings ask for. cells: that cast its rays; None: this process."""
+    scene = mend(scene)
     settings = settings or Settings()
     cells = cells or LocalCells()
     look = _Look(scene, settings, cells)
@@ -116,7 +110,7 @@ def survey(scene, settings=None, cells=None):
     return Survey(
         effects=tuple(_force(effects[name], settings) for name in EFFECTS),
         ignored=tuple(scene.ignored),
-        health=(*scene.health, *_unusable(scene)),
+        health=scene.health,
         island=look.island,
         islands=len(look.lit_islands),
     )
@@ -180,7 +174,7 @@ class _Look:
             hit, back = self._hits(position, normal, direction)
             met = hit >= 0
             here.append(nodes[side][triangle[met]])
-            there.append(np.where(back, nodes[1][hit], nodes[0][hit])[met])
+            there.append(_nodes_met(nodes, hit, back))
             escaped[side] = int((~met).sum())
             on_back[side], on_front[side] = int((met & back).sum()), int((met & ~back).sum())
             returned = self.materials.returned[scene.polygon_material[scene.triangle_polygon[hit[met]]]]
@@ -195,11 +189,11 @@ class _Look:
         for lamp in sorted(self.lamps, key=lamp_power, reverse=True)[:MOST_LAMPS]:
             if lamp.kind != "sun":
                 hit, back = self._hits(*_lamp_rays(lamp))
-                lit[np.where(back, nodes[1][hit], nodes[0][hit])[hit >= 0]] = True
+                lit[_nodes_met(nodes, hit, back)] = True
         glowing, number = self._glowing()
         for side in (0, 1):
             hit, back = self._hits(*_face_rays(scene, glowing, number, side))
-            lit[np.where(back, nodes[1][hit], nodes[0][hit])[hit >= 0]] = True
+            lit[_nodes_met(nodes, hit, back)] = True
         self.sky = _sky(self)
         if self.sky.needed or (scene.world.brightest > 0 and _forced(self.settings, "sky")):
             lit |= open_to_sky
@@ -228,7 +222,9 @@ class _Look:
             first = np.searchsorted(piece[order], np.arange(pieces))
             size = np.diff(np.append(first, len(order)))
             some = (
-                [order[first + (size * (2 * k + 1)) // (2 * EACH)][size > 0] for k in range(EACH)] if len(order) else []
+                [order[(first + (size * (2 * k + 1)) // (2 * EACH))[size > 0]] for k in range(EACH)]
+                if len(order)
+                else []
             )
             chosen = np.concatenate([chosen, *(self.usable[s] for s in some)])
         return chosen, np.arange(len(chosen))
@@ -252,6 +248,12 @@ class _Look:
         found = self._cells.take(tasks)
         hit = np.concatenate([np.zeros(0, np.int32), *(f["triangle"] for f in found)])
         return hit, np.concatenate([np.zeros(0, bool), *(f["back"] for f in found)])
+
+
+def _nodes_met(nodes, hit, back):
+    """The nodes of the sides of triangles that rays met: hit (K,), -1 for a miss, back (K,) bool; nodes: front, back (T,)."""
+    met = hit >= 0
+    return np.where(back[met], nodes[1][hit[met]], nodes[0][hit[met]])
 
 
 class _Materials:
@@ -589,19 +591,3 @@ def _lamp_rays(lamp):
         local = np.stack([ring * np.cos(turn), ring * np.sin(turn), height], axis=1)
     direction = local[:, :1] * x + local[:, 1:2] * y - local[:, 2:] * z
     return position, np.zeros_like(position), direction
-
-
-def _unusable(scene):
-    """Findings about polygons that are left out: vertices that are not finite, or no area."""
-    count = len(scene.objects)
-    owner = scene.polygon_object[scene.triangle_polygon]
-    finite = np.isfinite(scene.vertices).all(axis=1)[scene.triangles].all(axis=1)
-    for o in np.flatnonzero(np.bincount(owner[~finite], minlength=count)):
-        faces = len(np.unique(scene.triangle_polygon[~finite & (owner == o)]))
-        yield Finding(
-            scene.objects[o], f"{faces} faces have vertices that are not finite numbers", "they were left out"
-        )
-    flat = finite & ~scene.usable
-    for o in np.flatnonzero(np.bincount(owner[flat], minlength=count)):
-        faces = len(np.unique(scene.triangle_polygon[flat & (owner == o)]))
-        yield Finding(scene.objects[o], f"{faces} faces have a part without area", "it was left out")

@@ -457,7 +457,7 @@ def light_patches(cells, count, settings, sides=None):
     size = _task_size(len(sides), settings.patch_samples, cells)
     tasks = [
         cells.submit("direct", sides=part, samples=settings.patch_samples, seed=settings.seed)
-        for part in _parts(sides, size)
+        for part in _parts(sides, size) or [sides]
     ]
     found = np.concatenate([result["direct"] for result in cells.take(tasks)], axis=1)
     direct = np.zeros((len(found), count))

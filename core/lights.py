@@ -19,6 +19,7 @@ FLAT, BALL, SUN = 0, 1, 2  # kinds of source: a flat polygon, a point or spot la
 MOST_SOURCES = 32  # emitting faces beyond the strongest ones are found by the gather rays instead
 MOST_MERGED = 4096  # emitting polygons beyond this number are not merged into flat sources
 NEAR = 0.08  # a patch is near a source if it reaches further than this share of the distance to it
+SHORT = 1 - 1e-5  # share of the way to a lamp that must be free: one that lies in a surface lights both of its sides
 DISK_SIDES = 24  # of the polygon, equal in area, that stands for a disk or ellipse
 
 
@@ -205,7 +206,7 @@ def test_rays(sources, s, caster, position, normal, geometric, start, a, b):
         side = np.sign(-dot(toward[cast], sources.direction[s]))[:, None]
         blocked = caster.blocked(start[cast], caster.start(aim[cast], side * sources.direction[s]), a[cast])
     else:
-        blocked = caster.blocked(start[cast], caster.place(aim[cast]), a[cast])
+        blocked = caster.blocked(start[cast], caster.place(aim[cast]), a[cast], reach=SHORT)
     seen = weight.copy()
     seen[cast[blocked]] = 0.0
     return weight, seen
@@ -329,8 +330,12 @@ def _emitting_flats(scene):
         scene.triangle_polygon[scene.usable], scene.triangle_normal_area[1][scene.usable], len(scene.polygon_material)
     )
     whole = np.array([not m.transparent for m in scene.materials], bool)  # rays find the light of others
-    emitting = np.flatnonzero(((exitance > 0) & whole)[scene.polygon_material] & (area > 0))
     normal = newell_normals(scene.vertices, scene.polygon_start, scene.corner_vertex)
+    # A polygon that folds over itself, as a bow tie does, fills less than its triangles' areas say.
+    facing, size = scene.triangle_normal_area
+    once = dot(facing, normal[scene.triangle_polygon]) * size
+    filled = np.bincount(scene.triangle_polygon[scene.usable], once[scene.usable], len(area)) > 0.999 * area
+    emitting = np.flatnonzero(((exitance > 0) & whole)[scene.polygon_material] & (area > 0) & filled)
     flats, waiting = [], _coplanar_groups(scene, emitting, normal) if len(emitting) <= MOST_MERGED else []
     while waiting:
         group = waiting.pop()

@@ -1,7 +1,8 @@
 """Points: the places whose light is asked for.
 
 Owns the making of points from the corners of meshes. Vertices, corners and texels are all points to the gather.
-A point is one pair of vertex and normal: the corners of a vertex whose shading normals agree within a degree share it.
+A point is one pair of vertex and normal: the corners of a vertex whose shading normals agree within a degree share it,
+unless another surface stands between their faces: a wall on the line between two of a floor's quads parts them.
 """
 
 from __future__ import annotations
@@ -13,10 +14,17 @@ import numpy as np
 from .raycast import OFFSET
 from .sampling import morton_order
 from .scene import newell_normals
-from .vectors import dot, unit
+from .vectors import dot, length, unit
 
 SAME_NORMAL = 0.99984769515639127  # cosine of one degree
 INWARD = 1e-3  # how far a point moves from its vertex toward the middle of its faces
+ACROSS = 2e-3  # how far beyond its vertex, and before it, surfaces that a point must stay clear of are looked for
+BEFORE = 0.1  # where the search for the place before such a surface begins
+CLEAR = 4 * OFFSET  # how far a point stays away from it, in scene diagonals
+PARTINGS = 4  # points into which surfaces may part the corners of one, less one
+LEVEL = 0.9510565162951535  # cosine of 18 degrees: faces that meet at more than that are not parted
+TASK_SEGMENTS = 1 << 15
+THIN = 1e-3  # a face less wide than this share of its length and of the scene's diagonal has no inside to stand on
 SHARPEST = 0.1  # least cosine between a point's normal and a face that it is lifted out of
 
 
@@ -40,26 +48,28 @@ class Points:
     neighbor: np.ndarray
     corner: np.ndarray
     corner_point: np.ndarray
+    thin: np.ndarray
 
     def __len__(self):
         return len(self.area)
 
 
-def make_points(scene, flipped=None):
+def make_points(scene, flipped=None, cells=None):
     """The Points of all corners of the scene's written objects whose polygons have an area.
 
-    flipped: (P,) bool, polygons whose back side's light is asked for.
+    flipped: (P,) bool, polygons whose back side's light is asked for. cells: started with `kernel.scene_arrays`, to keep
+    points clear of surfaces that pass through or beside their vertices; None leaves them where they are.
     """
     size = np.diff(scene.polygon_start)
     polygon_area = np.bincount(
-        scene.triangle_polygon[scene.usable], scene.triangle_normal_area[1][scene.usable], len(size)
+        scene.triangle_polygon[scene.solid], scene.triangle_normal_area[1][scene.solid], len(size)
     )
     wanted = scene.written[scene.polygon_object] & (polygon_area > 0)
     polygon = np.repeat(np.arange(len(size)), size)
     corner = np.flatnonzero(wanted[polygon])
     polygon = polygon[corner]
     vertex = scene.corner_vertex[corner]
-    face_normal = newell_normals(scene.vertices, scene.polygon_start, scene.corner_vertex)
+    face_normal = _face_normals(scene)
     normal = scene.corner_normal[corner]
     if flipped is not None and flipped.any():
         sign = np.where(flipped, -1.0, 1.0)[:, None]
@@ -67,14 +77,24 @@ def make_points(scene, flipped=None):
     normal = unit(normal, face_normal[polygon])  # a custom normal may be 0 or NaN
 
     point = group_corners(vertex, normal)
+    inner, width, stout = _insides(scene, corner)
+    place, toward, facing = scene.vertices[vertex], inner - scene.vertices[vertex], face_normal[polygon]
+    share = np.full(len(corner), INWARD)
+    if cells is not None and len(corner):
+        crossed, share = _clear_of_others(scene, cells, place, toward, facing)
+        point = _part(scene, cells, point, crossed, place + share[:, None] * toward, facing)
+
     count = int(point.max(initial=-1)) + 1
     weight = polygon_area[polygon] / size[polygon]
     area = np.bincount(point, weight, count)
     first = np.zeros(count, np.int64)
     first[point[::-1]] = np.arange(len(corner))[::-1]
     normal = unit(_mean(normal, point, weight, count), normal[first])
-    geometric = unit(_mean(face_normal[polygon], point, weight, count), face_normal[polygon[first]])
-    position = _place(scene, vertex, polygon, point, first, geometric, face_normal)
+    geometric = unit(_mean(facing, point, weight, count), facing[first])
+    move = _mean(share[:, None] * toward, point, np.maximum(width, 1e-300), count)
+    position = place[first] + move + _lift(scene, move, point, geometric, facing)
+    thin = np.ones(count, bool)
+    thin[point[stout]] = False
 
     order = morton_order(position)
     rank = np.empty(count, np.int64)
@@ -90,7 +110,79 @@ def make_points(scene, flipped=None):
         neighbor=neighbor,
         corner=corner.astype(np.int32),
         corner_point=rank[point].astype(np.int32),
+        thin=thin[order],
     )
+
+
+def _face_normals(scene):
+    """(P,) unit normals of polygons; that of its largest triangle for one that turns against itself, as a bow tie does."""
+    normal = newell_normals(scene.vertices, scene.polygon_start, scene.corner_vertex)
+    own, area = scene.triangle_normal_area
+    order = np.argsort(area, kind="stable")
+    largest = np.zeros_like(normal)
+    largest[scene.triangle_polygon[order]] = own[order]
+    return np.where((dot(normal, largest) > 0.5)[:, None], normal, largest)
+
+
+def _insides(scene, corner):
+    """A place inside the polygon of each corner (K,), near it whatever the polygon's shape: the middle of the triangles
+    that meet there, (K, 3); the width of the widest of them, (K,) [m]; and whether one is wide enough to stand on, (K,)."""
+    solid = np.flatnonzero(scene.solid)
+    a, b, c = np.moveaxis(scene.vertices[scene.triangles[solid]], 1, 0)
+    longest = np.maximum(np.maximum(length(b - a), length(c - b)), length(a - c))
+    wide = 2 * scene.triangle_normal_area[1][solid] / longest
+    width, stout = np.zeros(len(scene.corner_vertex)), np.zeros(len(scene.corner_vertex), bool)
+    at = scene.triangle_corner[solid]
+    np.maximum.at(width, at.reshape(-1), np.repeat(wide, 3))
+    stout[at[wide > THIN * np.minimum(longest, scene.diagonal)].reshape(-1)] = True
+    count = np.bincount(at.reshape(-1), minlength=len(width))
+    middle = _mean(np.repeat((a + b + c) / 3, 3, axis=0), at.reshape(-1), np.ones(at.size), len(width), at_least=1)
+    # A corner without a triangle, where the polygon has no area: its vertex.
+    return (
+        np.where(count[:, None] > 0, middle, scene.vertices[scene.corner_vertex])[corner],
+        width[corner],
+        stout[corner],
+    )
+
+
+def _clear_of_others(scene, cells, place, toward, facing):
+    """Which corners have a surface close before or beyond their vertex, (C,) bool; and how far each point should move
+    from it toward the inside of its face, (C,) as a share of the way."""
+    share = np.full(len(place), INWARD)
+    ask = lambda a, b, up, name: ask_segments(cells, name, a, b, up, up)
+    ways = (place + ACROSS * toward, place - ACROSS * toward)
+    crossed = ask(*ways, facing, "blocked")
+    near = np.flatnonzero(crossed)
+    if len(near):
+        begin = BEFORE
+        start, stop = place[near] + begin * toward[near], place[near] - ACROSS * toward[near]
+        reach = ask(start, stop, facing[near], "reach")
+        met = begin - (begin + ACROSS) * reach  # where along the way, 0 at the vertex
+        gap = CLEAR * scene.diagonal / np.maximum(length(toward[near]), 1e-300)
+        share[near] = np.clip(met + gap, INWARD, np.maximum((met + begin) / 2, INWARD))
+    return crossed, share
+
+
+def _part(scene, cells, point, crossed, place, facing):
+    """The number (C,) of each corner's point, where those that a surface parts from the first one get another."""
+    touched = np.zeros(int(point.max(initial=-1)) + 1, bool)
+    touched[point[crossed]] = True
+    left = np.flatnonzero(touched[point])
+    left = left[np.argsort(point[left], kind="stable")]
+    point = point.copy()
+    for _ in range(PARTINGS):
+        if not len(left):
+            break
+        leading = np.append(True, point[left][1:] != point[left][:-1])
+        leader = left[leading][np.cumsum(leading) - 1]
+        other = np.flatnonzero(~leading & (dot(facing[left], facing[leader]) > LEVEL))
+        a, b = leader[other], left[other]
+        apart = ask_segments(cells, "blocked", place[a], place[b], facing[a], facing[b])
+        parted = left[other][apart]
+        _, number = np.unique(point[parted], return_inverse=True)
+        point[parted] = point.max() + 1 + number.reshape(-1)
+        left = parted
+    return point
 
 
 def group_corners(vertex, normal, agreement=SAME_NORMAL):
@@ -110,29 +202,32 @@ def group_corners(vertex, normal, agreement=SAME_NORMAL):
     return point
 
 
-def _mean(values, owner, weight, count):
+def ask_segments(cells, name, start, stop, up, stop_up):
+    """(K,) what a task says of segments between places (K, 3), each just above a surface with a normal (K, 3)."""
+    parts = [slice(k, k + TASK_SEGMENTS) for k in range(0, len(start), TASK_SEGMENTS)]
+    tasks = [
+        cells.submit(name, start=start[part], stop=stop[part], up=up[part], stop_up=stop_up[part]) for part in parts
+    ]
+    found = cells.take(tasks)
+    return np.concatenate([result[name] for result in found]) if found else np.zeros(0, bool)
+
+
+def _mean(values, owner, weight, count, at_least=0.0):
     """(count, 3) weighted means of rows (C, 3) by owner (C,)."""
-    total = np.bincount(owner, weight, count)
+    total = np.maximum(np.bincount(owner, weight, count), at_least)
     return np.stack([np.bincount(owner, weight * values[:, k], count) for k in range(3)], axis=1) / total[:, None]
 
 
-def _place(scene, vertex, polygon, point, first, geometric, face_normal):
-    """(P, 3) positions: a little inside the faces, and on top of each of them.
+def _lift(scene, move, point, geometric, facing):
+    """(P, 3) what puts points on top of each of their faces.
 
-    The mean of the centers of faces that meet at an angle lies below them; the lift undoes that.
+    The mean of places inside faces that meet at an angle lies below them; the lift undoes that.
     """
-    size = np.diff(scene.polygon_start)
-    owner = np.repeat(np.arange(len(size)), size)
-    center = _mean(scene.vertices[scene.corner_vertex], owner, np.ones(len(owner)), len(size))[polygon]
-    count = len(first)
-    start = scene.vertices[vertex[first]]
-    move = INWARD * (_mean(center, point, np.ones(len(point)), count) - start)
-    normal = face_normal[polygon]
-    below = -dot(normal, move[point])
-    lift = np.zeros(count)
-    slope = np.maximum(dot(normal, geometric[point]), SHARPEST)
+    below = -dot(facing, move[point])
+    lift = np.zeros(len(move))
+    slope = np.maximum(dot(facing, geometric[point]), SHARPEST)
     np.maximum.at(lift, point, (below + OFFSET * scene.diagonal * (1 - slope)) / slope)
-    return start + move + lift[:, None] * geometric
+    return lift[:, None] * geometric
 
 
 def _neighbors(scene, corner, polygon, point, count):

@@ -16,6 +16,9 @@ _Q = (1.0, 2.485846490142306297962e1, 1.650270098316988542046e2, 4.3288106049129
       4.853903996359136964868e2, 1.945506571482613964425e2)  # fmt: skip
 
 
+HORIZON = 1e-6  # sine of the elevation below which a corner counts as level with the element
+
+
 def angle(sine, cosine):
     """Angle in [0, pi] of a sine >= 0 and a cosine with any common factor, float64; 0 where both are 0."""
     low, high = np.minimum(sine, np.abs(cosine)), np.maximum(sine, np.abs(cosine))
@@ -63,8 +66,10 @@ def polygon_factor(points, normals, polygon):
     """
     ray = polygon - points[:, None]
     height = np.einsum("kvd,kd->kv", ray, normals)
+    # A corner on the horizon, but for the last bits, is on it: of a polygon in the element's own plane nothing is seen.
+    height = np.where(np.abs(height) > HORIZON * length(ray), height, 0.0)
     factor = np.zeros(len(points))
-    above = (height >= 0).all(axis=1)
+    above = (height >= 0).all(axis=1) & (height > 0).any(axis=1)
     factor[above] = _lambert(ray[above], normals[above])
     partly = np.flatnonzero(~above & (height > 0).any(axis=1))
     if len(partly):

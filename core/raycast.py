@@ -76,12 +76,13 @@ class RayCaster:
                     values[going] = new
         return found
 
-    def blocked(self, origins, targets, key=None):
+    def blocked(self, origins, targets, key=None, reach=1.0):
         """(K,) bool: whether anything lies between origins and targets, both (K, 3) float32 from `start` or `place`.
 
-        key: (K,) numbers that tell rays between the same two places apart, which may pass surfaces by chance.
+        key: (K,) numbers that tell rays between the same two places apart, which may pass surfaces by chance. reach: share
+        of the way that counts.
         """
-        return self._stopped(origins, targets - origins, key, dists=1.0)
+        return self._stopped(origins, targets - origins, key, dists=reach)
 
     def blocked_toward(self, origins, directions, key=None):
         """(K,) bool: whether rays without end hit anything; origins from `start`, directions (K, 3) float32; key: see

@@ -8,6 +8,8 @@ from __future__ import annotations
 import json
 import os
 
+from .health import direct_check
+
 _NUMBER = {"type": ["number", "null"]}
 _COUNT = {"type": ["integer", "null"]}
 _TEXT = {"type": ["string", "null"]}
@@ -98,7 +100,7 @@ def make_report(bake, *, scene, version, layers, domain, start, read, write, lig
             "requested": bake.settings.error, "estimated": None, "interior": None, "sampling": None, "patches": None,
             "solve": solution.bound, "floor": None, "worst": None,
         },
-        "energy": {**solution.energy, "direct_check": None},
+        "energy": {**solution.energy, "direct_check": direct_check(bake.scene, solution)},
         "price": [],
         "layers": list(layers),
         "objects": [dict(name=n, points=c, domain=domain, error=None) for n, c in counts],

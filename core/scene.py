@@ -126,6 +126,8 @@ class Scene:
     readings: a surfaces.Readings of colors that replace those of the materials.
     shared: (O,) int number of the mesh that each object is a copy of; None: each has its own.
     health: findings, and ignored: (object, reason) pairs, of whoever read the scene.
+    left_out: (P,) bool, polygons with broken vertices, and double: (P,) bool, polygons that lie on others and take no
+    part, as found by health.mend; mended: it has been there.
     """
 
     objects: tuple
@@ -148,6 +150,14 @@ class Scene:
     health: tuple = ()
     ignored: tuple = ()
     name: str = "scene"
+    left_out: np.ndarray | None = None
+    double: np.ndarray | None = None
+    mended: bool = False
+
+    def __post_init__(self):
+        for name in ("left_out", "double"):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, np.zeros(len(self.polygon_object), bool))
 
     @cached_property
     def triangles(self):
@@ -161,16 +171,21 @@ class Scene:
         return normal_and_area(a, b, c)
 
     @cached_property
-    def usable(self):
-        """(T,) bool: triangles with finite vertices and an area, the ones that take part."""
+    def solid(self):
+        """(T,) bool: triangles with finite vertices and an area."""
         finite = np.isfinite(self.vertices).all(axis=1)[self.triangles].all(axis=1)
         with np.errstate(invalid="ignore", over="ignore"):
             return finite & (self.triangle_normal_area[1] > 0)
 
     @cached_property
+    def usable(self):
+        """(T,) bool: the triangles that take part, solid ones of polygons that do not lie on others."""
+        return self.solid & ~self.double[self.triangle_polygon]
+
+    @cached_property
     def bounds(self):
-        """Lowest and highest corner of the usable geometry, (2, 3); zeros if there is none."""
-        used = self.vertices[np.unique(self.triangles[self.usable])]
+        """Lowest and highest corner of the solid geometry, (2, 3); zeros if there is none."""
+        used = self.vertices[np.unique(self.triangles[self.solid])]
         return np.stack([used.min(axis=0), used.max(axis=0)]) if len(used) else np.zeros((2, 3))
 
     @property

@@ -7,6 +7,7 @@ import numpy as np
 from .contacts import find_contacts
 from .gather import gather_points
 from .lightmap import settle_points
+from .placing import find_blocked, find_reach
 from .rows import analytic_rows, light_patches, trace_rows
 
 
@@ -26,6 +27,8 @@ def cast(kernel, position, normal, direction):
 TASKS = {
     "cast": cast,
     "contacts": find_contacts,
+    "blocked": find_blocked,
+    "reach": find_reach,
     "direct": light_patches,
     "rows": trace_rows,
     "analytic": analytic_rows,

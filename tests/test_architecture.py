@@ -16,8 +16,8 @@ CORE = sorted((ROOT / "core").glob("*.py"))
 
 # Later modules may import earlier ones, never the other way round.
 CHAIN = [
-    "vectors", "graphs", "sampling", "polygons", "records", "settings", "scene", "alpha", "raycast", "patches", "surfaces", "remesh", "points", "lights",
-    "kernel", "rows", "contacts", "gather", "atlas", "lightmap", "tasks", "cells", "cell", "replay", "effects", "host", "paper", "layers", "bake", "experiment", "report", "picture",
+    "vectors", "graphs", "sampling", "polygons", "records", "settings", "scene", "alpha", "raycast", "patches", "surfaces", "health", "remesh", "points", "lights",
+    "kernel", "rows", "contacts", "placing", "gather", "atlas", "lightmap", "tasks", "cells", "cell", "replay", "effects", "host", "paper", "layers", "bake", "experiment", "report", "picture",
 ]  # fmt: skip
 
 # Functions whose last bit depends on the build of numpy (BLAS, SIMD), with what to use instead.
