@@ -8,8 +8,9 @@ from fnmatch import fnmatchcase
 from math import inf
 from time import perf_counter
 
-from ..core.bake import bake, run
+from ..core.bake import Progress, bake, run
 from ..core.cells import make_cells
+from ..core.effects import survey
 from ..core.health import mend
 from ..core.lights import emitting_polygons
 from ..core.report import make_report
@@ -117,7 +118,7 @@ class Job:
         self.cells = cells or make_cells(options.cells or default_cells())
         self._start = start_seconds + perf_counter() - begun
         self._read_seconds = self._write_seconds = 0.0
-        self.scene = self.result = None
+        self.scene = self.result = self.survey = None
         self.output = make_output(options)
         self.targets, self.changed = (), ()
         if read:
@@ -155,9 +156,9 @@ class Job:
             self.scene, self.options.settings(self.scene.diagonal), self.cells, self.output.place
         )
         self.output.compute(self.result)
-        survey = self.result.survey
-        findings = (*survey.health, *self.output.findings)
-        self.result = replace(self.result, survey=replace(survey, health=findings))
+        found = self.result.survey
+        findings = (*found.health, *self.output.findings)
+        self.result = replace(self.result, survey=replace(found, health=findings))
         self._refuse(findings)
 
     def _refuse(self, findings):
@@ -165,6 +166,14 @@ class Job:
         if self.options.strict and findings:
             first = findings[0]
             raise Refused(f"{first.object}: {first.finding} ({len(findings)} findings; --strict)")
+
+    def find_effects(self):
+        """The core's survey alone, as `survey`: yields Progress."""
+        yield Progress("survey", 0.0, 0.0)
+        try:
+            self.survey = survey(self.scene, self.options.settings(self.scene.diagonal), self.cells)
+        finally:
+            self.cells.clear()
 
     def write(self, context):
         """Write the result into the file's meshes."""

@@ -16,12 +16,13 @@ from .job import Job
 from .marks import is_made, made_layers, unmark_layers
 from .preferences import preference
 from .progress import progress_text
-from .running import RunningBake
+from .running import Running
 from .session import Session
 from .shown import forget_unused
 from .translations import tr, tr_message
 from .viewport import (
     baked_meshes,
+    has_result,
     layers_of,
     middle_exposure,
     redraw,
@@ -49,18 +50,11 @@ class _Idle:
         return True
 
 
-class RADIOSITY_OT_bake(_Idle, bpy.types.Operator):
-    """Bake the light of the scene; Esc ends it early and keeps the light that is there"""
+class _Work(_Idle):
+    """Operators whose work runs in a thread beside the window: first the scene is read in short steps, then `_work` is
+    done while `_watch` looks at it, then `_end` puts what it has brought into the file, in steps again."""
 
-    bl_idname = "radiosity.bake"
-    bl_label = "Bake Radiosity"
-    bl_options = {"UNDO"}
-
-    error: FloatProperty(
-        name="Error",
-        description="Relative error to reach, in percent; 0 takes the accuracy chosen in the panel",
-        default=0.0, min=0.0, max=100.0, options={"SKIP_SAVE"},
-    )  # fmt: skip
+    keeps = ""  # what Esc does, for the status bar
 
     @classmethod
     def poll(cls, context):
@@ -70,28 +64,25 @@ class RADIOSITY_OT_bake(_Idle, bpy.types.Operator):
         return super().poll(context)
 
     def _options(self, context):
-        options = context.scene.radiosity.options(context)
-        return replace(options, error=self.error / 100) if self.error else options
+        return context.scene.radiosity.options(context)
 
     def execute(self, context):
-        """Bake to the end, blocking: in background and from scripts."""
+        """Work to the end, blocking: in background and from scripts."""
         try:
             job = Job(context, self._options(context), cells=Session.warm_cells(preference("cells")))
-            run(job.bake())
-            job.write(context)
+            run(self._work(job))
+            return {run(self._finish(context, job))}
         except Refused as problem:
             self.report({"ERROR"}, tr_message(str(problem)))
             return {"CANCELLED"}
-        self._finish_job(context, job)
-        return {"FINISHED"}
 
     def invoke(self, context, event):
         if bpy.app.background:
             return self.execute(context)
         job = Job(context, self._options(context), cells=Session.warm_cells(preference("cells")), read=False)
-        self._running = Session.running = RunningBake(job)
+        self._running = Session.running = Running(job, self._work)
         self._scene = context.scene.name
-        self._steps = self._bake(context)
+        self._steps = self._all(context)
         self._timer = context.window_manager.event_timer_add(TICK, window=context.window)
         self._told = 0.0
         context.window_manager.modal_handler_add(self)
@@ -110,20 +101,20 @@ class RADIOSITY_OT_bake(_Idle, bpy.types.Operator):
                 next(self._steps)
             except StopIteration as end:
                 return self._end(context, end.value)
-            except Exception as problem:  # whatever it was: the window must not stay in a bake that has ended
+            except Exception as problem:  # whatever it was: the window must not stay in work that has ended
                 running.drop()
                 self.report({"ERROR"}, tr_message(str(problem) or type(problem).__name__))
                 return self._end(context, "CANCELLED")
             self._tell(context)
         # While the scene is read or written step by step, nobody may change it between two steps.
-        return {"RUNNING_MODAL"} if running.phase != "bake" else {"PASS_THROUGH"}
+        return {"RUNNING_MODAL"} if running.phase != "work" else {"PASS_THROUGH"}
 
     def cancel(self, context):
         """Called by Blender when it quits, opens another file or closes the window."""
         Session.end()
 
-    def _bake(self, context):
-        """The whole bake in short steps: a generator that gives Blender its turn at each yield, and returns the operator's
+    def _all(self, context):
+        """Everything, in short steps: a generator that gives Blender its turn at each yield, and returns the operator's
         result."""
         running, job = self._running, self._running.job
         yield from self._read(context, job)
@@ -133,16 +124,14 @@ class RADIOSITY_OT_bake(_Idle, bpy.types.Operator):
         yield from self._watch(context)
         if running.error is not None:
             raise running.error
-        if job.result is None:
-            self.report({"INFO"}, tr_message("Bake cancelled before there was any light"))
+        if not running.brought:
+            self.report({"INFO"}, tr("Ended before there was anything to keep"))
             return "CANCELLED"
         yield from self._wait(context)
         if running.cancelled and running.waiting:
             return "CANCELLED"
         running.phase, running.waiting = "write", ""
-        yield from _in_steps(job.writing(context))
-        self._finish_job(context, job, running.partial)
-        return "FINISHED"
+        return (yield from _in_steps(self._finish(context, job, running.partial)))
 
     def _read(self, context, job):
         """Read the scene in steps; if anything changes it between two of them, anew and in one."""
@@ -153,6 +142,11 @@ class RADIOSITY_OT_bake(_Idle, bpy.types.Operator):
             if (Session.edits, context.scene.frame_current) != before:
                 reading.close()
                 run(job.reading(context))
+
+    def _watch(self, context):
+        """Look at the work until it has ended: a generator."""
+        while not self._running.done:
+            yield
 
     def _wait(self, context):
         """Wait until the light can be written; Cancel ends the waiting, and the light is lost."""
@@ -166,8 +160,56 @@ class RADIOSITY_OT_bake(_Idle, bpy.types.Operator):
             if running.waiting:
                 yield
 
+    def _hindrance(self, context):
+        """Why the light cannot be written now, or ""."""
+        if context.scene.name != self._scene and self._scene in bpy.data.scenes:
+            return "Go back to the scene that was baked to see the result"
+        if context.mode != "OBJECT":
+            return "Go to Object Mode to see the result"
+        return ""
+
+    def _tell(self, context):
+        """Keep the status bar and the panels up to date."""
+        if perf_counter() - self._told < PANEL:
+            return
+        self._told = perf_counter()
+        progress = self._running.progress
+        text = progress_text(progress) if progress else tr("Reading the scene")
+        context.workspace.status_text_set(f"Radiosity: {text}   [Esc] {tr(self.keeps)}")
+        redraw(context)
+
+    def _end(self, context, result):
+        self._steps.close()
+        Session.running = None
+        context.window_manager.event_timer_remove(self._timer)
+        context.workspace.status_text_set(None)
+        redraw(context)
+        return {result}
+
+
+class RADIOSITY_OT_bake(_Work, bpy.types.Operator):
+    """Bake the light of the scene; Esc ends it early and keeps the light that is there"""
+
+    bl_idname = "radiosity.bake"
+    bl_label = "Bake Radiosity"
+    bl_options = {"UNDO"}
+
+    error: FloatProperty(
+        name="Error",
+        description="Relative error to reach, in percent; 0 takes the accuracy chosen in the panel",
+        default=0.0, min=0.0, max=100.0, options={"SKIP_SAVE"},
+    )  # fmt: skip
+    keeps = "ends it and keeps the light"
+
+    def _options(self, context):
+        options = super()._options(context)
+        return replace(options, error=self.error / 100) if self.error else options
+
+    def _work(self, job):
+        return job.bake()
+
     def _watch(self, context):
-        """Show the light while it comes: a generator that ends with the bake."""
+        """Show the light while it comes."""
         running = self._running
         next_light = 0.0
         while not running.done:
@@ -198,40 +240,14 @@ class RADIOSITY_OT_bake(_Idle, bpy.types.Operator):
         if exposure:
             show(context.scene, job.options.layers[0], exposure)
 
-    def _hindrance(self, context):
-        """Why the light cannot be written now, or ""."""
-        if context.scene.name != self._scene and self._scene in bpy.data.scenes:
-            return "Go back to the scene that was baked to see the result"
-        if context.mode != "OBJECT":
-            return "Go to Object Mode to see the result"
-        return ""
-
-    def _tell(self, context):
-        """Keep the status bar and the panels up to date."""
-        if perf_counter() - self._told < PANEL:
-            return
-        self._told = perf_counter()
-        progress = self._running.progress
-        text = progress_text(progress) if progress else tr("Reading the scene")
-        context.workspace.status_text_set(tr("Radiosity: {}   [Esc] ends it and keeps the light", text))
-        redraw(context)
-
-    def _end(self, context, result):
-        self._steps.close()
-        Session.running = None
-        context.window_manager.event_timer_remove(self._timer)
-        context.workspace.status_text_set(None)
-        redraw(context)
-        return {result}
-
-    def _finish_job(self, context, job, partial=False):
-        """Keep what was found and reached, show the light, and say so."""
-        settings = context.scene.radiosity
-        layer = job.options.layers[0]
-        settings.shown = layer
-        if settings.exposure:
-            show(context.scene, layer, settings.exposure)
-        show_in_views(context, force=True)
+    def _finish(self, context, job, partial=False):
+        """Write the light, show it, keep what was found and reached, and say so; returns the operator's result."""
+        yield from job.writing(context)
+        settings, lightmaps = context.scene.radiosity, job.options.target == "lightmap"
+        settings.shown = "" if lightmaps else job.options.layers[0]
+        if settings.shown and settings.exposure:
+            show(context.scene, settings.shown, settings.exposure)
+        show_in_views(context, force=True, images=lightmaps)
         result = settings.result
         result.clear()
         result.note_survey(job.result.survey, job.changed)
@@ -245,12 +261,35 @@ class RADIOSITY_OT_bake(_Idle, bpy.types.Operator):
             self.report({"WARNING"}, text + ". " + tr("{} findings: see Health in the panel", count))
         else:
             self.report({"INFO"}, text)
+        return "FINISHED"
+
+
+class RADIOSITY_OT_find_effects(_Work, bpy.types.Operator):
+    """Find out which effects of light the scene calls for, and what is wrong with its data, without baking"""
+
+    bl_idname = "radiosity.find_effects"
+    bl_label = "Find Effects"
+    bl_options = {"UNDO"}
+
+    keeps = "ends it"
+
+    def _work(self, job):
+        return job.find_effects()
+
+    def _finish(self, context, job, partial=False):
+        context.scene.radiosity.result.note_survey(job.survey)
+        yield
+        return "FINISHED"
 
 
 def _in_steps(work):
-    """Drive a generator, giving way only after STEP seconds of work."""
+    """Drive a generator, giving way only after STEP seconds of work; returns what it returns."""
     begun = perf_counter()
-    for _ in work:
+    while True:
+        try:
+            next(work)
+        except StopIteration as end:
+            return end.value
         if perf_counter() - begun > STEP:
             yield
             begun = perf_counter()
@@ -294,7 +333,7 @@ class _OfResult(_Idle):
         if context.mode != "OBJECT":
             cls.poll_message_set(tr("Go to Object Mode first"))
             return False
-        if not any(o.type == "MESH" and layers_of(o.data) for o in context.scene.objects):
+        if not has_result(context.scene):
             cls.poll_message_set(tr("Nothing is baked yet"))
             return False
         return super().poll(context)
@@ -398,6 +437,7 @@ class RADIOSITY_OT_clear(_OfResult, bpy.types.Operator):
 
 CLASSES = (
     RADIOSITY_OT_bake,
+    RADIOSITY_OT_find_effects,
     RADIOSITY_OT_cancel,
     RADIOSITY_OT_choose,
     RADIOSITY_OT_show_layer,

@@ -12,7 +12,7 @@ from .preferences import preference
 from .preflight import preflight
 from .session import Session
 from .translations import tr, tr_message
-from .viewport import baked_meshes, layers_of
+from .viewport import baked_meshes, has_result, layers_of
 
 LETTER = 6.2  # pixels of a letter at a resolution scale of 1, about
 SHOWN = 12  # findings that a list shows; of the rest only the number is told
@@ -43,7 +43,13 @@ class RADIOSITY_PT_main(_Panel, bpy.types.Panel):
         _draw_accuracy(layout, settings)
         column = layout.column()
         column.prop(settings, "layers")
-        column.prop(settings, "domain")
+        column.prop(settings, "target")
+        if settings.target == "vertex":
+            column.prop(settings, "domain")
+        else:
+            column.prop(settings, "sizing")
+            column.prop(settings, "texels_per_meter" if settings.sizing == "density" else "size")
+            column.prop(settings, "atlas")
         column.prop(settings, "selected")
         row = layout.row()
         row.scale_y = 1.6
@@ -140,26 +146,26 @@ class RADIOSITY_PT_view(_Panel, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context):
-        return Session.running is None and any(o.type == "MESH" and layers_of(o.data) for o in context.scene.objects)
+        return Session.running is None and has_result(context.scene)
 
     def draw(self, context):
         settings, layout = context.scene.radiosity, self.layout
         layout.use_property_split = True
         layout.use_property_decorate = False
         names = list(dict.fromkeys(name for mesh in baked_meshes(context.scene) for name in layers_of(mesh)))
-        flow = layout.grid_flow(columns=2, align=True)
-        for name in names:
-            flow.operator("radiosity.show_layer", text=name, depress=name == settings.shown).layer = name
-        row = layout.row(align=True)
-        row.prop(settings, "exposure")
-        row.operator("radiosity.expose", text="", icon="LIGHT_DATA")
-        column = layout.column(align=True)
-        column.operator("radiosity.set_up_materials", text="Show as Emission", icon="MATERIAL").kind = "EMISSION"
-        column.operator(
-            "radiosity.set_up_materials", text="Use as Base Color", icon="SHADING_TEXTURE"
-        ).kind = "BASE_COLOR"
-        if with_set_up():
-            column.operator("radiosity.take_out_of_materials", icon="LOOP_BACK")
+        if names:
+            flow = layout.grid_flow(columns=2, align=True)
+            for name in names:
+                flow.operator("radiosity.show_layer", text=name, depress=name == settings.shown).layer = name
+            row = layout.row(align=True)
+            row.prop(settings, "exposure")
+            row.operator("radiosity.expose", text="", icon="LIGHT_DATA")
+            column = layout.column(align=True)
+            kinds = ("EMISSION", "Show as Emission", "MATERIAL"), ("BASE_COLOR", "Use as Base Color", "SHADING_TEXTURE")
+            for kind, text, icon in kinds:
+                column.operator("radiosity.set_up_materials", text=tr(text), icon=icon).kind = kind
+            if with_set_up():
+                column.operator("radiosity.take_out_of_materials", icon="LOOP_BACK")
         layout.operator("radiosity.clear", icon="TRASH")
 
 
@@ -173,10 +179,11 @@ class RADIOSITY_PT_effects(_Panel, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context):
-        return Session.running is None and len(context.scene.radiosity.result.effects) > 0
+        return Session.running is None
 
     def draw(self, context):
         result, layout = context.scene.radiosity.result, self.layout
+        layout.operator("radiosity.find_effects", icon="VIEWZOOM")
         for effect in result.effects:
             icon = "CHECKBOX_HLT" if effect.needed else "CHECKBOX_DEHLT"
             _paragraph(layout, f"{tr(effect.name.capitalize())}: {tr_message(effect.reason)}", icon)
@@ -216,7 +223,10 @@ class RADIOSITY_PT_advanced(_Panel, bpy.types.Panel):
         settings, layout = context.scene.radiosity, self.layout
         layout.use_property_split = True
         layout.use_property_decorate = False
-        for name in ("side", "shared", "whole", "patch", "schedule", "rows", "seed"):
+        if settings.target == "lightmap":
+            for name in ("uv", "padding", "image"):
+                layout.prop(settings, name)
+        for name in ("side", "shared", "whole", "patch", "schedule", "rows", "force", "seed"):
             row = layout.row()
             row.enabled = name != "patch" or not settings.whole
             row.prop(settings, name)

@@ -16,7 +16,7 @@ from bpy.props import (
 )  # fmt: skip
 
 from ..core.layers import LAYERS
-from ..core.settings import PRESETS
+from ..core.settings import EFFECTS, PRESETS
 from .job import NOTHING, Options
 from .preferences import PRESET_ITEMS, preference
 from .viewport import show
@@ -124,6 +124,61 @@ class RADIOSITY_PG_settings(bpy.types.PropertyGroup):
         options={"ENUM_FLAG"},
         default={"Radiosity", "Lighting"},
     )
+    target: EnumProperty(
+        name="Target",
+        description="What the light is written to",
+        items=[
+            ("vertex", "Vertex Colors", "Color attributes of the meshes"),
+            ("lightmap", "Lightmaps", "Images, on copies of the objects whose materials show them"),
+        ],
+        default="vertex",
+    )
+    sizing: EnumProperty(
+        name="Resolution",
+        description="How large lightmaps are",
+        items=[
+            ("density", "By Density", "As large as a number of texels per meter asks for"),
+            ("size", "By Size", "All of one size"),
+        ],
+        default="density",
+    )
+    texels_per_meter: FloatProperty(
+        name="Texels per Meter",
+        description="Texels of a lightmap along a meter of surface",
+        default=16.0, min=0.01, soft_min=1.0, soft_max=256.0, precision=1,
+    )  # fmt: skip
+    size: IntProperty(
+        name="Size",
+        description="Width and height of each lightmap, in pixels",
+        default=1024, min=16, max=16384, subtype="PIXEL",
+    )  # fmt: skip
+    uv: StringProperty(
+        name="UV Map",
+        description="UV map that lightmaps lie on; empty unwraps each object into a new map, Lightmap",
+    )
+    atlas: EnumProperty(
+        name="Atlas",
+        description="How many lightmaps there are",
+        items=[
+            ("object", "One per Object", "Each object has lightmaps of its own"),
+            ("scene", "One for All", "All objects share one lightmap for each layer"),
+        ],
+        default="object",
+    )
+    padding: IntProperty(
+        name="Padding",
+        description="Texels between the charts of an unwrapped lightmap, so that they do not bleed into each other",
+        default=2, min=1, max=64,
+    )  # fmt: skip
+    image: EnumProperty(
+        name="Image",
+        description="File format of lightmaps, saved beside the .blend file, or packed into it while it is not saved",
+        items=[
+            ("exr", "OpenEXR", "32-bit floats, linear and unbounded"),
+            ("png", "PNG", "16-bit numbers, linear; the image's custom property scale turns them into light"),
+        ],
+        default="exr",
+    )
     domain: EnumProperty(
         name="Domain",
         description="Where colors are kept",
@@ -184,6 +239,10 @@ class RADIOSITY_PG_settings(bpy.types.PropertyGroup):
         ],
         default="auto",
     )
+    force: BoolProperty(
+        name="Force All Effects",
+        description="Simulate every effect of light, also those that the scene does not call for",
+    )
     seed: IntProperty(name="Seed", description="Another seed takes other samples of the same light", default=0, min=0)
 
     exposure: FloatProperty(
@@ -209,7 +268,15 @@ class RADIOSITY_PG_settings(bpy.types.PropertyGroup):
             schedule=self.schedule,
             rows=None if self.rows == "auto" else self.rows,
             memory=1e9 * preference("memory"),
+            force=EFFECTS if self.force else (),
             seed=self.seed,
+            target=self.target,
+            texels_per_meter=self.texels_per_meter,
+            size=self.size if self.sizing == "size" else None,
+            uv=self.uv or None,
+            atlas=self.atlas,
+            padding=self.padding,
+            image=self.image,
         )
 
 

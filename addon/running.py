@@ -1,30 +1,30 @@
-"""A bake beside Blender's window: its work in a thread that never touches Blender, and its light whenever it is asked for."""
+"""Work beside Blender's window, such as a bake: it runs in a thread that never touches Blender, and its light whenever it is asked for."""
 
 from __future__ import annotations
 
 import threading
 
 
-class RunningBake:
-    """The work of a Job in a thread of its own: numpy and pipes alone.
+class Running:
+    """The work of a Job in a thread of its own: numpy and pipes alone. work: function of the job, a generator of Progress.
 
-    phase: what the window is at ("read", "bake", "write"). waiting: what it waits for, or "". progress: the last
-    Progress, or None. error: what the work has failed with, or None. partial: it was ended early, with the light that
-    was there.
-    partial: it was ended early, and the job's result is the light that was there.
+    phase: what the window is at ("read", "work", "write"). waiting: what it waits for, or "". progress: the last
+    Progress, or None. error: what the work has failed with, or None. brought: it has brought something to write;
+    partial: it was ended early, with the light that was there.
     """
 
-    def __init__(self, job):
+    def __init__(self, job, work):
         self.job, self.phase, self.waiting = job, "read", ""
+        self._work = work
         self.progress = self.error = None
-        self.partial = False
+        self.brought = self.partial = False
         self._cancelled, self._dropped, self._wanted = (threading.Event() for _ in range(3))
         self._shown = None
-        self._thread = threading.Thread(target=self._work, name="radiosity bake", daemon=True)
+        self._thread = threading.Thread(target=self._do, name="radiosity bake", daemon=True)
 
     def start(self):
         """Begin, once the scene is read."""
-        self.phase = "bake"
+        self.phase = "work"
         self._thread.start()
 
     @property
@@ -59,21 +59,22 @@ class RunningBake:
         shown, self._shown = self._shown, None
         return shown
 
-    def _work(self):
+    def _do(self):
         try:
-            baking = self.job.bake()
+            work = self._work(self.job)
             while not self._cancelled.is_set():
                 try:
-                    self.progress = next(baking)
+                    self.progress = next(work)
                 except StopIteration:
+                    self.brought = True
                     return
                 if self._wanted.is_set() and (bake := self.job.so_far(self.progress)):
                     self._wanted.clear()
                     self._shown = self.job.output.preview(bake)
             bake = None if self._dropped.is_set() else self.job.so_far(self.progress)
             if bake:
-                self.partial = True
                 self.job.keep(bake)
-            baking.close()
+                self.brought = self.partial = True
+            work.close()
         except Exception as error:
             self.error = error

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..core.layers import LAYERS
-from .marks import made_layers, mark_layers
+from .marks import is_made, made_layers, mark_layers
 from .session import Session
 
 VIEW = "Radiosity View"
@@ -25,6 +25,11 @@ def layers_of(mesh):
     """Names of the layers that bakes have written to a mesh, in their usual order."""
     made = made_layers(mesh) & {a.name for a in mesh.color_attributes}
     return [name for name in LAYERS if name in made] + sorted(made - set(LAYERS) - {VIEW})
+
+
+def has_result(scene):
+    """Whether a bake has left anything in a scene."""
+    return any(is_made(o) or (o.type == "MESH" and layers_of(o.data)) for o in scene.objects)
 
 
 def show(scene, layer, exposure=0.0):
@@ -70,8 +75,9 @@ def middle_exposure(scene, layer):
     return round(float(np.log2(0.18) - logarithms / count), 1) if count else 0.0
 
 
-def show_in_views(context, force=False):
-    """Let the Solid 3D views show color attributes as they are; force: turn the largest view to Solid if none is."""
+def show_in_views(context, force=False, images=False):
+    """Let the Solid 3D views show color attributes (or images) as they are; force: turn the largest view to Solid if
+    none is."""
     views = [
         area for window in context.window_manager.windows for area in window.screen.areas if area.type == "VIEW_3D"
     ]
@@ -79,12 +85,13 @@ def show_in_views(context, force=False):
     if force and views and not solid:
         solid = [max(views, key=lambda area: area.width * area.height)]
         solid[0].spaces.active.shading.type = "SOLID"
+    wanted = "FLAT", "TEXTURE" if images else "VERTEX"
     for area in solid:
         space = area.spaces.active
         shading = space.shading
-        if (shading.light, shading.color_type) != ("FLAT", "VERTEX"):
-            Session.shading[space.as_pointer()] = (shading.light, shading.color_type)
-            shading.light, shading.color_type = "FLAT", "VERTEX"
+        if (shading.light, shading.color_type) != wanted:
+            Session.shading.setdefault(space.as_pointer(), (shading.light, shading.color_type))
+            shading.light, shading.color_type = wanted
 
 
 def restore_views(context):
