@@ -24,6 +24,9 @@ hard-cases: setup ## run the hard cases, large ones too, and write their table
 test-blender: setup extension ## tests inside a real Blender: make test-blender BLENDER=path
 	BLENDER="$(BLENDER)" $(VENV)/pytest -m blender
 
+test-versions: setup ## the tests that know Blender, in the modules of Blender 4.2, 4.5 and 5.2, each in its own environment
+	$(VENV)/python tools/versions.py $(VERSIONS)
+
 extension: setup ## build dist/*.zip for every platform
 	$(VENV)/python tools/extension.py
 
@@ -41,4 +44,4 @@ samples: setup ## make the sample scenes anew (needs bpy 4.2)
 lint: setup ## check the style
 	$(VENV)/ruff check . && $(VENV)/ruff format --check .
 
-.PHONY: help setup bake test test-heavy hard-cases test-blender extension samples lint cells-plot bench-cells
+.PHONY: help setup bake test test-heavy hard-cases test-blender extension samples lint cells-plot bench-cells test-versions

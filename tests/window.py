@@ -136,17 +136,19 @@ class Window:
         """(x, y) of the tallest button of the panel, Bake or Cancel: for a moment all buttons get a color of their own."""
         color = "bpy.context.preferences.themes[0].user_interface.wcol_tool.inner"
         former = self.ask(f"answer = list({color}); {color} = (1, 0, 1, 1); area.tag_redraw()")
-        time.sleep(0.5)
-        picture = self.picture().astype(int)
-        self.ask(f"{color} = {former}; area.tag_redraw()")
         left, top, right, bottom = self.panel
-        part = picture[top:bottom, left:right]
-        colored = (part[..., 0] > 200) & (part[..., 1] < 80) & (part[..., 2] > 200)
-        rows = np.flatnonzero(colored.sum(axis=1) > (right - left) // 3)
-        runs = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
-        tallest = max(runs, key=len)
-        assert len(tallest) > 20, "no button"
-        return (left + right) // 2, int(top + tallest.mean())
+        try:
+            for _ in range(20):
+                time.sleep(0.3)
+                part = self.picture()[top:bottom, left:right].astype(int)
+                colored = (part[..., 0] > 200) & (part[..., 1] < 80) & (part[..., 2] > 200)
+                rows = np.flatnonzero(colored.sum(axis=1) > (right - left) // 3)
+                tallest = max(np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1), key=len)
+                if len(tallest) > 20:
+                    return (left + right) // 2, int(top + tallest.mean())
+        finally:
+            self.ask(f"{color} = {former}; area.tag_redraw()")
+        raise AssertionError("there is no button in the panel")
 
     def close(self):
         """End Blender and its screen, whatever they are at."""
