@@ -18,6 +18,7 @@ from ..core.settings import Settings
 from .errors import Refused
 from .outputs import make_output
 from .read_scene import reading_scene
+from .steps import aside
 from .version import version
 
 NOTHING = ("",)  # objects that no name fits: a bake of them is refused
@@ -137,7 +138,7 @@ class Job:
         )
         if not len(self.scene.triangles):
             raise Refused("there is no mesh to bake: no visible object with faces")
-        self.scene = mend(self.scene)
+        self.scene = yield from aside(step, mend, self.scene)
         self._refuse(self.scene.health)
         if not self.scene.usable.any():
             raise Refused("there is no mesh to bake: no face has an area")

@@ -19,6 +19,7 @@ from .progress import progress_text
 from .running import Running
 from .session import Session
 from .shown import forget_unused
+from .steps import in_steps
 from .translations import tr, tr_message
 from .viewport import (
     baked_meshes,
@@ -131,7 +132,7 @@ class _Work(_Idle):
         if running.cancelled and running.waiting:
             return "CANCELLED"
         running.phase, running.waiting = "write", ""
-        return (yield from _in_steps(self._finish(context, job, running.partial)))
+        return (yield from in_steps(self._finish(context, job, running.partial), STEP))
 
     def _read(self, context, job):
         """Read the scene in steps; if anything changes it between two of them, anew and in one."""
@@ -221,7 +222,7 @@ class RADIOSITY_OT_bake(_Work, bpy.types.Operator):
             if preview is None or self._hindrance(context):
                 continue
             spent = 0.0
-            painting = _in_steps(self._paint(context, preview))
+            painting = in_steps(self._paint(context, preview), STEP)
             while True:
                 begun = perf_counter()
                 done = next(painting, self) is self
@@ -280,19 +281,6 @@ class RADIOSITY_OT_find_effects(_Work, bpy.types.Operator):
         context.scene.radiosity.result.note_survey(job.survey)
         yield
         return "FINISHED"
-
-
-def _in_steps(work):
-    """Drive a generator, giving way only after STEP seconds of work; returns what it returns."""
-    begun = perf_counter()
-    while True:
-        try:
-            next(work)
-        except StopIteration as end:
-            return end.value
-        if perf_counter() - begun > STEP:
-            yield
-            begun = perf_counter()
 
 
 class RADIOSITY_OT_cancel(bpy.types.Operator):

@@ -24,6 +24,7 @@ from .lamps import read_lamp
 from .marks import is_made, originals_shown
 from .material_setup import passed_by
 from .materials import NotConstant, read_alpha, read_material, read_pixels, read_world, viewport_material
+from .steps import aside
 
 SOLID = {"MESH", "CURVE", "SURFACE", "META", "FONT"}
 
@@ -71,12 +72,9 @@ def _reading(context, wanted, shared, spacing, step):
     while not _place(depsgraph, rendered, reader, wanted, lamps, placed, perf_counter() + step):
         yield
         depsgraph = context.evaluated_depsgraph_get()
-    meshes, begun = [], perf_counter()
-    for p in placed:
-        meshes.append(p.shape.placed(p.original.name, p.matrix))
-        if perf_counter() - begun > step:
-            yield
-            begun = perf_counter()
+    scene = depsgraph.scene
+    names = [p.original.name for p in placed]
+    meshes = yield from aside(step, lambda: [p.shape.placed(name, p.matrix) for p, name in zip(placed, names)])
 
     corner = np.concatenate([[0], np.cumsum([len(m.corner_vertex) for m in meshes])]).astype(int)
     users = Counter(o.data for o in bpy.data.objects if o.type == "MESH") if shared == "skip" else Counter()
@@ -86,11 +84,10 @@ def _reading(context, wanted, shared, spacing, step):
         for k, p in enumerate(placed)
         if written[k]
     )
-    joined = join_meshes(
-        meshes, reader.materials, lamps, World(read_world(scene.world, reader.ignored)), written, scene.name,
+    joined = yield from aside(
+        step, join_meshes, meshes, reader.materials, lamps, World(read_world(scene.world, reader.ignored)), written, scene.name,
         textures=tuple(reader.textures), shared=np.unique([id(p.shape) for p in placed], return_inverse=True)[1], health=tuple(reader.health + _hidden(scene, depsgraph, rendered)),
     )  # fmt: skip
-    yield
     readings = _read_others(context, context.evaluated_depsgraph_get(), reader, joined, placed, corner, spacing)
     return replace(joined, readings=readings, ignored=tuple(dict.fromkeys(reader.ignored))), targets
 
