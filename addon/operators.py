@@ -15,8 +15,7 @@ from .errors import Refused
 from .job import Job
 from .marks import is_made, made_layers, unmark_layers
 from .preferences import preference
-from .progress import progress_text
-from .running import Running
+from .running import Running, phase_text
 from .session import Session
 from .shown import forget_unused
 from .steps import in_steps
@@ -174,8 +173,7 @@ class _Work(_Idle):
         if perf_counter() - self._told < PANEL:
             return
         self._told = perf_counter()
-        progress = self._running.progress
-        text = progress_text(progress) if progress else tr("Reading the scene")
+        text = phase_text(self._running)
         context.workspace.status_text_set(f"Radiosity: {text}   [Esc] {tr(self.keeps)}")
         redraw(context)
 

@@ -10,8 +10,9 @@ from .job import default_cells
 from .material_setup import with_set_up
 from .preferences import preference
 from .preflight import preflight
+from .running import phase_text
 from .session import Session
-from .translations import tr, tr_message
+from .translations import CONTEXT, tr, tr_message
 from .viewport import baked_meshes, has_result, layers_of
 
 LETTER = 6.2  # pixels of a letter at a resolution scale of 1, about
@@ -24,6 +25,7 @@ class _Panel:
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
     bl_category = "Radiosity"
+    bl_translation_context = CONTEXT
 
 
 class RADIOSITY_PT_main(_Panel, bpy.types.Panel):
@@ -54,7 +56,7 @@ class RADIOSITY_PT_main(_Panel, bpy.types.Panel):
         row = layout.row()
         row.scale_y = 1.6
         row.enabled = ready
-        row.operator("radiosity.bake", text="Bake", icon="LIGHT_SUN")
+        row.operator("radiosity.bake", text=tr("Bake"), icon="LIGHT_SUN")
         _draw_result(layout, settings)
 
 
@@ -62,11 +64,8 @@ def _draw_running(layout, running):
     """The bar, how far the light is, and Cancel."""
     progress = running.progress
     column = layout.column()
-    if progress is None:
-        column.progress(factor=0.0, text=tr("Reading the scene"))
-    else:
-        phase = tr("Writing") if running.phase == "write" else tr(PHASES.get(progress.phase, progress.phase))
-        column.progress(factor=min(max(progress.done, 0.0), 1.0), text=f"{phase}  {100 * progress.done:.0f} %")
+    column.progress(factor=min(max(progress.done, 0.0), 1.0) if progress else 0.0, text=phase_text(running))
+    if progress is not None:
         figures = column.column(align=True)
         figures.label(text=tr("{} s so far, {} million rays", f"{progress.seconds:.1f}", f"{progress.rays / 1e6:.1f}"))
         if progress.bound is not None:
@@ -80,15 +79,7 @@ def _draw_running(layout, running):
     row = layout.row()
     row.scale_y = 1.4
     row.enabled = not running.cancelled
-    row.operator("radiosity.cancel", text="Cancel", icon="CANCEL")
-
-
-PHASES = {
-    "survey": "Surveying",
-    "patches": "Cutting patches",
-    "transport": "Light between patches",
-    "gather": "Light at the points",
-}
+    row.operator("radiosity.cancel", text=tr("Cancel"), icon="CANCEL")
 
 
 def _draw_preflight(layout, context, settings):
@@ -108,7 +99,9 @@ def _draw_preflight(layout, context, settings):
 
 def _draw_accuracy(layout, settings):
     """The accuracy and, beside it, what each costs."""
-    layout.row().prop(settings, "preset", expand=True)
+    row = layout.row()
+    row.use_property_split = False
+    row.prop(settings, "preset", expand=True)
     if settings.preset == "error":
         layout.prop(settings, "error")
     if settings.prices:
@@ -188,7 +181,7 @@ class RADIOSITY_PT_effects(_Panel, bpy.types.Panel):
             icon = "CHECKBOX_HLT" if effect.needed else "CHECKBOX_DEHLT"
             _paragraph(layout, f"{tr(effect.name.capitalize())}: {tr_message(effect.reason)}", icon)
         if result.ignored:
-            layout.label(text="Not simulated:")
+            layout.label(text=tr("Not simulated:"))
             _list(layout, [(row.name, row.finding, "") for row in result.ignored])
 
 
@@ -266,6 +259,7 @@ def _twin(panel):
         bl_space_type="PROPERTIES",
         bl_region_type="WINDOW",
         bl_context="scene",
+        bl_translation_context=CONTEXT,
     )
     if hasattr(panel, "bl_parent_id"):
         names["bl_parent_id"] = panel.bl_parent_id.replace("_PT_", "_PT_scene_")

@@ -6,7 +6,7 @@ import bpy
 from bpy.props import EnumProperty, FloatProperty, IntProperty
 
 from .job import default_cells, default_memory
-from .translations import tr
+from .translations import CONTEXT, tr
 
 EXTENSION = __package__.rpartition(".")[0]
 
@@ -37,6 +37,7 @@ class RADIOSITY_preferences(bpy.types.AddonPreferences):
         description="The accuracy that scenes have until another is chosen in their panel",
         items=PRESET_ITEMS,
         default="good",
+        translation_context=CONTEXT,
     )
 
     def draw(self, context):

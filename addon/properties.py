@@ -19,6 +19,7 @@ from ..core.layers import LAYERS
 from ..core.settings import EFFECTS, PRESETS
 from .job import NOTHING, Options
 from .preferences import PRESET_ITEMS, preference
+from .translations import CONTEXT
 from .viewport import show
 
 PRESET_NAMES = [*(item[0] for item in PRESET_ITEMS), "error"]
@@ -106,6 +107,7 @@ class RADIOSITY_PG_settings(bpy.types.PropertyGroup):
         items=[*PRESET_ITEMS, ("error", "Error", "An error of your own")],
         get=_preset,
         set=_choose_preset,
+        translation_context=CONTEXT,
     )
     error: FloatProperty(
         name="Error",

@@ -4,6 +4,13 @@ from __future__ import annotations
 
 import threading
 
+from .translations import tr
+
+PHASES = {
+    "survey": "Surveying", "patches": "Cutting patches", "transport": "Light between patches",
+    "gather": "Light at the points",
+}  # fmt: skip
+
 
 class Running:
     """The work of a Job in a thread of its own: numpy and pipes alone. work: function of the job, a generator of Progress.
@@ -78,3 +85,13 @@ class Running:
             work.close()
         except Exception as error:
             self.error = error
+
+
+def phase_text(running):
+    """What is being done, and how far it is."""
+    progress = running.progress
+    if running.phase == "write":
+        return tr("Writing")
+    if progress is None:
+        return tr("Reading the scene") if running.phase == "read" else tr("Surveying")
+    return f"{tr(PHASES.get(progress.phase, progress.phase))}  {100 * progress.done:.0f} %"

@@ -13,19 +13,26 @@ from bpy.app import translations
 
 from .translations_de import GERMAN
 
+CONTEXT = "Cell Radiosity"  # of words that Blender says otherwise elsewhere
 NUMBER = re.compile(r"\d+(?:[.,]\d+)*")
 
 
 def tr(text, *values):
     """A text of the user interface in the user's language, with values in place of its {}."""
-    return translations.pgettext_iface(text).format(*values) if values else translations.pgettext_iface(text)
+    found = _look_up(text)
+    return found.format(*values) if values else found
+
+
+def _look_up(text):
+    found = translations.pgettext_iface(text, CONTEXT)
+    return translations.pgettext_iface(text) if found == text else found
 
 
 def tr_message(text):
     """A sentence with numbers in it in the user's language; as it is, if it is not known there."""
     numbers = NUMBER.findall(text)
     pattern = NUMBER.sub("{}", text)
-    found = translations.pgettext_iface(pattern)
+    found = _look_up(pattern)
     return text if found == pattern else found.format(*numbers)
 
 
@@ -34,7 +41,7 @@ def register():
     languages = {"de_DE": GERMAN, "de": GERMAN}
     translations.register(
         __package__,
-        {code: {(context, text): word for text, word in words.items() for context in ("*", "Operator")}
+        {code: {(context, text): word for text, word in words.items() for context in ("*", "Operator", CONTEXT)}
          for code, words in languages.items()},
     )  # fmt: skip
 

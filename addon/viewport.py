@@ -105,8 +105,9 @@ def restore_views(context):
 
 
 def redraw(context):
-    """Redraw what shows a bake: the panels beside the 3D views and in the scene's properties."""
+    """Redraw the panels beside the 3D views and in the scene's properties, but not the views themselves."""
     for window in context.window_manager.windows:
         for area in window.screen.areas:
-            if area.type in {"VIEW_3D", "PROPERTIES"}:
-                area.tag_redraw()
+            for region in area.regions:
+                if (area.type, region.type) in {("VIEW_3D", "UI"), ("PROPERTIES", "WINDOW")}:
+                    region.tag_redraw()

@@ -32,7 +32,7 @@ def listen():
         names["answer"] = None
         try:
             window = bpy.context.window_manager.windows[0]
-            area = next(a for a in window.screen.areas if a.type == "VIEW_3D")
+            area = next((a for a in window.screen.areas if a.type == "VIEW_3D"), window.screen.areas[0])
             names.update(window=window, area=area, region=next(r for r in area.regions if r.type == "WINDOW"))
             exec(code, names)
             reply = {"answer": names["answer"]}
