@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from time import perf_counter
 
 import bpy
 
@@ -11,8 +12,10 @@ from ..core.layers import LAYERS
 from ..core.report import write_json
 from ..core.settings import SCHEDULES
 from .arguments import add_scene_options, count, layers, make_options, positive, whole
-from .errors import Refused
+from .cluster import add_cluster_options, cells_for
+from .errors import Refused, Usage
 from .files import check_writable, context_of, open_file, place_for, save_file
+from .finished import finished, is_result, note, origin
 from .job import Job
 from .progress import Bar, summary
 
@@ -33,6 +36,10 @@ def add(commands):
     bake.add_argument("--strict", action="store_true", help="fail if anything is wrong with the scene's data")
     bake.add_argument("--report", metavar="R.json", help="write a report; a folder for several scenes")
     bake.add_argument("--picture", metavar="P.png", help="write a picture of the result; a folder for several scenes")
+    bake.add_argument(
+        "--keep-going", action="store_true", help="of many files, skip those that were baked before and are unchanged"
+    )
+    add_cluster_options(bake)
     add_scene_options(bake)
     bake.add_argument("--target", choices=("vertex", "lightmap"), default="vertex", help="colors of meshes, or images")
     maps = bake.add_argument_group("lightmaps")
@@ -53,17 +60,32 @@ def run_bake(arguments):
     if scenes == [None] and not bpy.data.filepath:
         print("radiosity: no scene: name a .blend file", file=sys.stderr)
         return 2
+    try:
+        begun = perf_counter()
+        with cells_for(arguments, arguments.cells) as cells:
+            return _bake_files(scenes, arguments, cells, perf_counter() - begun)
+    except Usage as problem:
+        print(f"radiosity: {problem}", file=sys.stderr)
+        return 2
+    except OSError as problem:
+        print(f"radiosity: {problem}", file=sys.stderr)
+        return 1
+
+
+def _bake_files(scenes, arguments, cells, start_seconds):
+    """Bake files one after another with the same cells; returns the exit code. One that fails does not stop the others."""
     failed = 0
     for path in scenes:
         try:
-            _bake_file(path, arguments, several=len(scenes) > 1)
+            _bake_file(path, arguments, cells, start_seconds, several=len(scenes) > 1)
         except (Refused, OSError) as problem:
             failed += 1
             print(f"radiosity: {path or bpy.data.filepath}: {problem}", file=sys.stderr, flush=True)
+        start_seconds = 0.0  # they are warm then
     return 1 if failed else 0
 
 
-def _bake_file(path, arguments, several):
+def _bake_file(path, arguments, cells, start_seconds, several):
     """Bake one file (None: the open one). Raises Refused or OSError with one clear line."""
     source = os.path.abspath(path or bpy.data.filepath)
     output = (
@@ -77,6 +99,13 @@ def _bake_file(path, arguments, several):
     if path:
         open_file(source)
     written_by = tuple(bpy.data.version)
+    if arguments.keep_going and is_result():
+        print(f"{os.path.basename(source)}: is itself the result of a bake; left as it is", flush=True)
+        return
+    made_from = origin(source, arguments) if arguments.keep_going else None
+    if made_from and all(os.path.exists(place) for place in (report, picture) if place) and finished(output, made_from):
+        print(f"{os.path.basename(source)}: was baked before and is unchanged; {output}", flush=True)
+        return
     context = context_of(arguments)
     options = make_options(
         arguments,
@@ -95,12 +124,14 @@ def _bake_file(path, arguments, several):
         padding=arguments.padding,
         image=arguments.image,
     )
-    job = Job(context, options)
+    job = Job(context, options, cells, start_seconds)
     try:
         with Bar(quiet=arguments.quiet) as bar:
             for progress in job.bake():
                 bar.show(progress)
         job.write(context)
+        if made_from:
+            note(made_from)
         save_file(output, source)
         if picture:
             from .picture import save_picture

@@ -12,6 +12,7 @@ from ..core.experiment import as_dictionary, convergence, convergence_table, exp
 from ..core.report import write_json
 from ..core.settings import SCHEDULES
 from .arguments import add_scene_options, count, make_options
+from .cluster import add_cluster_options, cells_for
 from .errors import Refused, Usage
 from .files import check_writable, context_of, open_file
 from .job import default_cells, wanted_by
@@ -32,6 +33,7 @@ def add(commands):
     cells.add_argument("--schedule", type=_schedules, default=SCHEDULES, metavar="paper,dynamic", help="default: both")
     cells.add_argument("--report", metavar="R.json", help="write all figures")
     cells.add_argument("--plot", metavar="P.png", help="draw speed-up and losses")
+    add_cluster_options(cells)
     add_scene_options(cells)
 
 
@@ -39,9 +41,12 @@ def run_cells(arguments):
     """Measure and replay a scene on many cells; returns the exit code."""
     path = arguments.scene_file
     source = path or bpy.data.filepath
+    joined = None
     try:
         if not source:
             raise Usage("no scene: name a .blend file")
+        if arguments.cluster and arguments.counts:
+            raise Usage("--counts is for this machine's cells; a cluster is measured as it is")
         if arguments.plot:
             pyplot()
         for place in (arguments.report, arguments.plot):
@@ -50,11 +55,12 @@ def run_cells(arguments):
             open_file(os.path.abspath(path))
         scene, _ = read_scene(context_of(arguments), wanted_by(arguments.objects))
         settings = make_options(arguments).settings(scene.diagonal)
-        cores = default_cells()
-        counts = arguments.counts or tuple(n for n in (1, 2, 4, 8, 16, 32, 64) if n < cores) + (cores,)
+        joined = cells_for(arguments) if arguments.cluster else None
+        cores = joined.count if joined else default_cells()
+        counts = arguments.counts or tuple(n for n in (1, 2, 4, 8, 16, 32, 64) if n < cores and not joined) + (cores,)
         replays = tuple(sorted({*counts, *(2**k for k in range(11))}))
         runs = []
-        for run in experiment(scene, settings, arguments.schedule, counts, replays):
+        for run in experiment(scene, settings, arguments.schedule, counts, replays, joined):
             runs.append(run)
             if not arguments.quiet:
                 print(
@@ -74,6 +80,9 @@ def run_cells(arguments):
     except (Refused, OSError) as problem:
         print(f"radiosity: {source}: {problem}", file=sys.stderr)
         return 1
+    finally:
+        if joined:
+            joined.stop()
     return 0
 
 

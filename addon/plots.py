@@ -27,11 +27,11 @@ def pyplot():
 
 
 def plot_cells(runs, path, title):
-    """Speed-up against cells for each schedule, measured and replayed, and what the cells' time was lost to."""
+    """Speed-up and seconds against cells for each schedule, measured and replayed, and what cells' time was lost to."""
     plt = pyplot()
     schedules = list(dict.fromkeys(r.schedule for r in runs))
-    figure, axes = plt.subplots(1, 1 + len(schedules), figsize=(4.2 + 3.4 * len(schedules), 3.8))
-    speed = axes[0]
+    figure, axes = plt.subplots(1, 2 + len(schedules), figsize=(6.6 + 3.2 * len(schedules), 3.6))
+    speed, time = axes[:2]
     most = max(r.cells for r in runs)
     speed.plot([1, most], [1, most], color="0.8", lw=1, zorder=0)
     for schedule in schedules:
@@ -41,9 +41,11 @@ def plot_cells(runs, path, title):
             if alone:
                 x, y = [r.cells for r in mine], [alone / r.seconds for r in mine]
                 speed.plot(x, y, color=COLORS[schedule], label=f"{schedule}, {kind}", **style)
+                time.plot(x, [r.seconds for r in mine], color=COLORS[schedule], **style)
     speed.set(xscale="log", yscale="log", xlabel="cells", ylabel="speed-up over one cell")
+    time.set(xscale="log", yscale="log", xlabel="cells", ylabel="seconds, transport and gather")
     speed.legend(frameon=False, fontsize=8)
-    for axis, schedule in zip(axes[1:], schedules):
+    for axis, schedule in zip(axes[2:], schedules):
         mine = [r for r in runs if (r.schedule, r.kind) == (schedule, "replayed")]
         below = [sum(r.busy) / (r.cells * r.seconds) for r in mine]
         place = range(len(mine))

@@ -7,6 +7,7 @@ Seconds are those of transport and gather together, with the cells running.
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
 from math import log
 
@@ -43,15 +44,15 @@ class Run:
     reached: dict
 
 
-def experiment(scene, settings, schedules, counts, replays):
+def experiment(scene, settings, schedules, counts, replays, joined=None):
     """Bakes of a scene by `schedules` on `counts` cells, measured, and on `replays` cells, replayed: a generator that
-    yields the Runs as they are done."""
-    with make_cells(1) as cells:
+    yields the Runs as they are done. joined: cells to measure, and messages to replay with, in place of processes."""
+    with nullcontext(joined) if joined else make_cells(1) as cells:
         message = measure_messages(cells)
     for schedule in schedules:
         chosen = replace(settings, schedule=schedule, rows="analytic" if schedule == "paper" else settings.rows)
         for count in counts:
-            yield measured(scene, chosen, count)
+            yield measured(scene, chosen, count, joined)
         times = TaskTimes()
         for count in replays:
             yield replayed(scene, chosen, count, times, message)
@@ -136,9 +137,9 @@ def table(runs):
     lines = [
         f"{'schedule':9}{'cells':>6} {'kind':9}{'seconds':>9}{'speed-up':>9}{'busy':>7}{'rounds':>8}{'shots':>9}  lost to"
     ]
-    alone = {r.schedule: r.seconds for r in reversed(runs) if r.cells == 1}
+    alone = {(r.schedule, r.kind): r.seconds for r in runs if r.cells == 1}
     for r in runs:
-        speed = alone[r.schedule] / r.seconds if r.schedule in alone else float("nan")
+        speed = alone.get((r.schedule, r.kind), float("nan")) / r.seconds
         lost = ", ".join(f"{c} {100 * s / r.seconds:.0f} %" for c, s in (r.lost or {}).items() if s > 0.005 * r.seconds)
         share = 100 * sum(r.busy) / (r.cells * r.seconds)
         lines.append(

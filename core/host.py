@@ -168,8 +168,11 @@ class AnalyticRows:
         return arrived, power.sum(axis=1) - arrived.sum(axis=1)
 
     def gather(self, light, beyond):
-        owner = np.repeat(np.arange(len(self.sides)), np.diff(self.start))
-        seen = np.stack([np.bincount(owner, channel[self.target] * self.share, len(self.sides)) for channel in light])
+        filled = np.flatnonzero(np.diff(self.start))
+        seen = np.zeros((len(light), len(self.sides)))
+        if len(filled):
+            for channel, result in zip(light, seen):
+                result[filled] = np.add.reduceat(channel[self.target] * self.share, self.start[filled])
         return seen + self.escaped() * np.asarray(beyond)[:, None]
 
     def escaped(self, start=0):

@@ -41,7 +41,7 @@ install() {
     exit 1
 }
 install --upgrade "pip>=24"
-install --editable ".[blender,test,plot]"
+install --editable ".[blender,test,plot,cluster]"
 
 libraries="libx11-6 libxrender1 libxfixes3 libxi6 libxkbcommon0 libsm6 libgl1"
 if ! .venv/bin/python -c 'import bpy' >/dev/null 2>&1; then

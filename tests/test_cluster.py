@@ -1,0 +1,216 @@
+"""Cells on a cluster: the same bits, whatever happens to its workers; clear words when it is gone."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import dask
+import pytest
+from test_cells import BUSY, alive, expected_busy, furnished, same
+
+from cell_radiosity.cluster import cells as cluster_cells
+from cell_radiosity.cluster.cells import ClusterError, connect
+
+from scenes import bake, run
+
+__all__ = ["expected_busy"]
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    """Two workers of this machine. They are killed again and again, which Dask would take for the end of them."""
+    with dask.config.set({"distributed.deploy.lost-worker-timeout": "1h"}), connect("local:2") as made:
+        yield made
+
+
+def workers(cells):
+    """{address: process id} of the workers."""
+    return cells._client.run(os.getpid)
+
+
+def settled(cells, count=2):
+    """Wait until there are `count` workers again."""
+    cells._client.wait_for_workers(count, timeout=30)
+    cells._find_workers()
+
+
+def once(phase, blow):
+    """What to show the progress of a bake to: strikes once, in a phase."""
+    struck = []
+
+    def show(progress):
+        if progress.phase == phase and not struck:
+            struck.append(True)
+            blow()
+
+    return show, struck
+
+
+def test_the_same_bits_as_other_cells(cluster, expected_busy):
+    result = run(bake(furnished(12), BUSY, cluster))
+    assert same(result, expected_busy)
+    assert result.rays == expected_busy.rays
+    assert result.cells["count"] == 2
+    assert len(result.cells["cells_mb"]) >= 2
+    assert not cluster.note
+
+
+def test_many_tasks_travel_together(cluster, monkeypatch):
+    sent = []
+    monkeypatch.setattr(
+        cluster_cells, "_Batch", lambda tasks, real=cluster_cells._Batch: sent.append(tasks) or real(tasks)
+    )
+    run(bake(furnished(12), BUSY, cluster))
+    tasks = sum(len(batch) for batch in sent)
+    assert len(sent) < tasks / 2
+
+
+def test_arrays_are_sent_once(cluster, monkeypatch):
+    """A second bake of the same scene finds it there; only what is new is sent."""
+    sent = []
+    real = cluster._send
+    monkeypatch.setattr(cluster, "_send", lambda address, digests: sent.extend(digests) or real(address, digests))
+    run(bake(furnished(4), BUSY, cluster))
+    first = len(sent)
+    assert first > 0
+    run(bake(furnished(4), BUSY, cluster))
+    assert len(sent) - first < first / 2
+
+
+@pytest.mark.parametrize("phase", ["patches", "transport", "gather"])
+@pytest.mark.parametrize("victims", [1, 2])
+def test_killed_workers_cost_nothing_but_time(cluster, expected_busy, phase, victims):
+    settled(cluster)
+    before = cluster.restarted
+
+    def kill():
+        for pid in list(workers(cluster).values())[:victims]:
+            os.kill(pid, signal.SIGKILL)
+
+    show, struck = once(phase, kill)
+    result = run(bake(furnished(12), BUSY, cluster), show)
+    assert struck
+    assert same(result, expected_busy)
+    settled(cluster)
+    assert cluster.restarted - before == victims
+
+
+def test_a_worker_that_hangs_is_worked_around(cluster, expected_busy, monkeypatch):
+    monkeypatch.setattr(cluster_cells, "PATIENCE", 2.0)
+    settled(cluster)
+    before, pid = cluster.restarted, next(iter(workers(cluster).values()))
+    show, struck = once("transport", lambda: os.kill(pid, signal.SIGSTOP))
+    try:
+        result = run(bake(furnished(12), BUSY, cluster), show)
+    finally:
+        os.kill(pid, signal.SIGKILL)
+    assert struck
+    assert same(result, expected_busy)
+    assert cluster.restarted > before
+    settled(cluster)
+
+
+def test_a_worker_that_joins_gets_the_scene_and_work(cluster, expected_busy):
+    settled(cluster)
+    before = set(workers(cluster))
+
+    def join():
+        cluster._started.scale(3)
+        cluster._client.wait_for_workers(3, timeout=30)
+
+    show, _ = once("transport", join)
+    result = run(bake(furnished(12), BUSY, cluster), show)
+    assert same(result, expected_busy)
+    (joined,) = set(workers(cluster)) - before
+    worked = {address for address, _ in cluster.usage.busy}
+    cluster._started.scale(2)
+    assert joined in worked
+
+
+def test_workers_that_are_not_what_the_host_is(cluster, monkeypatch):
+    mine = cluster_cells.identity()
+    monkeypatch.setattr(cluster_cells.DaskCells, "_identity", staticmethod(lambda: {**mine, "numpy": "0.1"}))
+    address = cluster._started.scheduler_address
+    with pytest.raises(ClusterError, match=r"numpy .*here 0\.1.*--allow-mixed"):
+        connect(address)
+    with connect(address, allow_mixed=True) as mixed:
+        result = run(bake(furnished(2), BUSY, mixed))
+    assert any("last bits" in f.action for f in result.survey.health)
+    assert workers(cluster)  # a cluster that was there before is left as it was
+
+
+def test_no_scheduler_there(monkeypatch):
+    monkeypatch.setattr(cluster_cells, "ANSWER", 2.0)
+    with pytest.raises(ClusterError, match="no scheduler answers"):
+        connect("tcp://127.0.0.1:1")
+    with pytest.raises(ClusterError, match="local:N"):
+        connect("local:none")
+
+
+def start(tmp_path, *words):
+    return subprocess.Popen([sys.executable, "-m", "distributed.cli." + words[0], *words[1:]], cwd=tmp_path,
+                            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("victim", "words"), [("scheduler", "scheduler of the cluster is gone"), ("worker", "no worker")]
+)
+def test_a_cluster_that_is_lost(tmp_path, monkeypatch, victim, words):
+    """kill -9 of the scheduler, or of all workers with none to come: one clear line, in time."""
+    monkeypatch.setattr(cluster_cells, "WAIT", 4.0)
+    file = tmp_path / "scheduler.json"
+    processes = {
+        "scheduler": start(tmp_path, "dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard",
+                          "--scheduler-file", str(file)),
+    }  # fmt: skip
+    try:
+        processes["worker"] = start(tmp_path, "dask_worker", "--scheduler-file", str(file), "--nthreads", "1",
+                                   "--no-nanny", "--no-dashboard", "--host", "127.0.0.1")  # fmt: skip
+        deadline = time.monotonic() + 30
+        while not file.exists() or not file.read_text().strip():
+            assert time.monotonic() < deadline
+            time.sleep(0.1)
+        import json
+
+        monkeypatch.setattr(cluster_cells, "WAIT", 30.0)
+        with connect(json.loads(file.read_text())["address"]) as cells:
+            monkeypatch.setattr(cluster_cells, "WAIT", 4.0)
+            show, struck = once("transport", processes[victim].kill)
+            with pytest.raises(ClusterError, match=words):
+                run(bake(furnished(12), BUSY, cells), show)
+            assert struck
+    finally:
+        for process in processes.values():
+            process.kill()
+            process.wait()
+
+
+HOST = """
+import os, sys, time
+from cell_radiosity.cluster.cells import connect
+if __name__ == "__main__":
+    cells = connect("local:2")
+    print(*cells._client.run(os.getpid).values(), flush=True)
+    {end}
+"""
+
+
+@pytest.mark.parametrize("end", ["cells.stop()", "time.sleep(60)", "import ctypes; ctypes.string_at(0)"],
+                         ids=["stop", "killed", "crash"])  # fmt: skip
+def test_workers_started_here_end_with_the_host(tmp_path, end):
+    script = tmp_path / "host.py"
+    script.write_text(HOST.format(end=end))
+    host = subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    pids = [int(word) for word in host.stdout.readline().split()]
+    assert len(pids) == 2
+    if "sleep" in end:
+        host.kill()
+    host.wait()
+    deadline = time.monotonic() + 15
+    while any(alive(pid) for pid in pids) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert not any(alive(pid) for pid in pids)
