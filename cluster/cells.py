@@ -14,7 +14,7 @@ from hashlib import blake2b
 from time import monotonic
 
 import numpy as np
-from distributed import Client, LocalCluster
+from distributed import Client, LocalCluster, wait
 
 from ..core.cells import CellError, Cells
 from .worker import forget, identity, keep, missing, run_batch
@@ -24,6 +24,7 @@ UNDER_WAY = 2  # of Dask's tasks per worker thread
 PATIENCE = 30.0  # seconds without a result from a worker that has work, after which others get it too
 ANSWER = 10.0  # seconds for a scheduler to answer
 WAIT = 60.0  # seconds without any worker, after which the bake is given up
+FAREWELL = 3.0  # seconds for workers to let go of what they kept
 ATTEMPTS = 4  # at a batch that ends its worker
 
 
@@ -118,7 +119,7 @@ class DaskCells(Cells):
         self.clear()
         with suppress(Exception):
             usable = [address for address in self._workers if address not in self._avoided]
-            self._client.run(forget, workers=usable, on_error="ignore")
+            wait([self._client.submit(forget, workers=[address], pure=False) for address in usable], timeout=FAREWELL)
         self._client.close()
         if self._started:
             self._started.close()
@@ -145,10 +146,12 @@ class DaskCells(Cells):
 
     def _collect(self, batch):
         """Take the results of a batch that is done; deal it again where its worker is gone or lacks the arrays."""
+        future, begun = batch.future, monotonic()
         try:
-            address, process, results = batch.future.result(timeout=PATIENCE)
+            address, process, results = future.result(timeout=PATIENCE)
         except TimeoutError:
-            self._avoid(*self._holders(batch.future))
+            if monotonic() - begun >= PATIENCE:  # or else it was another's: the worker is gone
+                self._avoid(*self._holders(future))
             self._launch(batch, again=True)
             return
         except Exception as problem:  # Dask's own errors have many classes: the worker died, its future was lost
@@ -158,10 +161,10 @@ class DaskCells(Cells):
             self._launch(batch)
             return
         finally:
-            batch.future.release()
+            future.release()
         self._heard[address] = monotonic()
         if results is None:  # it has just joined
-            self._send(address, self._missing_at(address))
+            self._send(address)
             self._launch(batch, again=True)
             return
         for kind, number, payload, spent in results:
@@ -175,21 +178,26 @@ class DaskCells(Cells):
             self._task_seconds = seconds if self._task_seconds is None else 0.8 * self._task_seconds + 0.2 * seconds
             self._ready.append((number, payload))
 
-    def _missing_at(self, address):
-        found = self._ask(missing, list(self._arrays), workers=[address]).get(address)
-        return found if isinstance(found, list) else []
+    def _send(self, address):
+        """Send a worker the arrays that it lacks; it says what it is."""
+        digests = self._ask(address, missing, list(self._arrays))
+        if digests:
+            told = self._ask(address, keep, {digest: self._arrays[digest] for digest in digests})
+            if told:
+                self._check({address: told})
 
-    def _send(self, address, digests):
-        """Send arrays to a worker, which says what it is."""
-        told = self._ask(keep, {digest: self._arrays[digest] for digest in digests}, workers=[address])
-        self._check({a: i for a, i in told.items() if isinstance(i, dict)})
-
-    def _ask(self, function, *arguments, workers=None):
-        """{address: answer} of workers; one that is gone meanwhile is left out."""
-        with suppress(OSError, ValueError):
-            return self._client.run(function, *arguments, workers=workers, on_error="return")
-        self._alive()
-        return {}
+    def _ask(self, address, function, *arguments):
+        """The answer of one worker; None if it is gone or hangs."""
+        future = self._client.submit(function, *arguments, workers=[address], pure=False)
+        try:
+            return future.result(timeout=PATIENCE)
+        except TimeoutError:
+            self._avoid(address)
+        except Exception:  # of many classes: the worker died meanwhile
+            self._alive()
+        finally:
+            future.release()
+        return None
 
     def _check(self, identities):
         """Whether workers are what the host is."""

@@ -36,21 +36,22 @@ def identity():
     }
 
 
-def keep(arrays, dask_worker):
+def keep(arrays):
     """Keep arrays, {digest: array}; returns this worker's identity."""
-    _store(dask_worker).arrays.update(arrays)
+    _store(get_worker()).arrays.update(arrays)
     return identity()
 
 
-def missing(digests, dask_worker):
+def missing(digests):
     """Those of some digests whose arrays are not here."""
-    return [digest for digest in digests if digest not in _store(dask_worker).arrays]
+    return [digest for digest in digests if digest not in _store(get_worker()).arrays]
 
 
-def forget(dask_worker):
+def forget():
     """Let go of all arrays."""
-    if hasattr(dask_worker, "cell_radiosity"):
-        del dask_worker.cell_radiosity
+    worker = get_worker()
+    if hasattr(worker, "cell_radiosity"):
+        del worker.cell_radiosity
 
 
 def run_batch(names, tasks):

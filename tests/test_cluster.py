@@ -71,9 +71,14 @@ def test_many_tasks_travel_together(cluster, monkeypatch):
 
 def test_arrays_are_sent_once(cluster, monkeypatch):
     """A second bake of the same scene finds it there; only what is new is sent."""
-    sent = []
-    real = cluster._send
-    monkeypatch.setattr(cluster, "_send", lambda address, digests: sent.extend(digests) or real(address, digests))
+    sent, real = [], cluster._ask
+
+    def ask(address, function, *arguments):
+        if function is cluster_cells.keep:
+            sent.extend(arguments[0])
+        return real(address, function, *arguments)
+
+    monkeypatch.setattr(cluster, "_ask", ask)
     run(bake(furnished(4), BUSY, cluster))
     first = len(sent)
     assert first > 0
