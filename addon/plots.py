@@ -55,7 +55,7 @@ def plot_cells(runs, path, title):
             axis.bar(place, share, bottom=below, color=color, label=cause)
             below = [a + b for a, b in zip(below, share)]
         axis.set(title=f"{schedule}, replayed", xlabel="cells", ylabel="share of the cells' time", ylim=(0, 1))
-        axis.set_xticks(list(place), [r.cells for r in mine], fontsize=7)
+        axis.set_xticks(list(place), [r.cells for r in mine], fontsize=6)
     axes[-1].legend(frameon=False, fontsize=7, loc="lower left")
     figure.suptitle(title)
     figure.tight_layout()
