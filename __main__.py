@@ -1,5 +1,7 @@
 """`python -m cell_radiosity`: the command line, in a Python that has the bpy module."""
 
+import atexit
+import os
 import sys
 
 
@@ -12,7 +14,14 @@ def main():
         return 1
     from .addon.command import main as command
 
-    return command(sys.argv[1:])
+    code = command(sys.argv[1:])
+    if "io_scene_gltf2" in sys.modules:
+        # After a glTF export Blender's module can wait for a thread of its own for ever when the process ends.
+        atexit._run_exitfuncs()
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
+    return code
 
 
 if __name__ == "__main__":

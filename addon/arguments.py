@@ -61,6 +61,27 @@ def patch_edge(text):
     return value
 
 
+def exposure(text):
+    """Stops, or "auto"."""
+    if text == "auto":
+        return text
+    try:
+        value = float(text)
+    except ValueError:
+        value = float("nan")
+    if not abs(value) < 64:
+        raise argparse.ArgumentTypeError(f"{text!r} is neither a number of stops nor 'auto'")
+    return value
+
+
+def channel(text):
+    """A channel of an attribute: "NAME:R"."""
+    name, _, letter = text.rpartition(":")
+    if not name or letter.upper() not in ("R", "G", "B", "A"):
+        raise argparse.ArgumentTypeError(f"{text!r} is not an attribute and a channel, like Col:A")
+    return name, letter.upper()
+
+
 def positive(text):
     """A number above 0."""
     try:

@@ -10,10 +10,10 @@ import argparse
 import signal
 import sys
 
-from . import command_bake, command_cells, command_effects
+from . import command_bake, command_cells, command_effects, command_export
 from .version import version
 
-COMMANDS = (command_bake, command_cells, command_effects)
+COMMANDS = (command_bake, command_cells, command_effects, command_export)
 
 
 def main(argv):

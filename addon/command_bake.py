@@ -11,10 +11,11 @@ import bpy
 from ..core.layers import LAYERS
 from ..core.report import write_json
 from ..core.settings import SCHEDULES
-from .arguments import add_scene_options, count, layers, make_options, positive, whole
+from .arguments import add_scene_options, channel, count, exposure, layers, make_options, positive, whole
 from .cluster import add_cluster_options, cells_for
 from .errors import Refused, Usage
-from .files import check_writable, context_of, open_file, place_for, save_file
+from .export import export_scene, kind_of
+from .files import check_writable, context_of, open_file, place_for, save_file, silent
 from .finished import finished, is_result, note, origin
 from .job import Job
 from .progress import Bar, summary
@@ -42,6 +43,12 @@ def add(commands):
     add_cluster_options(bake)
     add_scene_options(bake)
     bake.add_argument("--target", choices=("vertex", "lightmap"), default="vertex", help="colors of meshes, or images")
+    bake.add_argument("--bytes", action="store_true", help="8-bit copies of the layers too (sRGB)")
+    bake.add_argument("--exposure", type=exposure, metavar="EV", help="of 8-bit copies [stops], or auto (default)")
+    bake.add_argument(
+        "--channel", type=channel, metavar="NAME:R", help="the first layer's brightness into this channel"
+    )
+    bake.add_argument("--export", metavar="OUT.glb", help="write glTF or USD too; a folder for several scenes")
     maps = bake.add_argument_group("lightmaps")
     density = maps.add_mutually_exclusive_group()
     density.add_argument("--texels-per-meter", type=positive, default=16.0, metavar="N", help="density (default: 16)")
@@ -94,7 +101,12 @@ def _bake_file(path, arguments, cells, start_seconds, several):
     )
     report = place_for(arguments.report, source, ".json", several)
     picture = place_for(arguments.picture, source, ".png", several)
-    for place in (output, report, picture):
+    export = place_for(arguments.export, source, ".glb", several)
+    if export:
+        kind_of(export)
+        if arguments.target == "lightmap":
+            raise Refused("--export writes vertex colors: leave out --target lightmap")
+    for place in (output, report, picture, export):
         check_writable(place)
     if path:
         open_file(source)
@@ -117,6 +129,9 @@ def _bake_file(path, arguments, cells, start_seconds, several):
         strict=arguments.strict,
         output=output,
         target=arguments.target,
+        bytes=arguments.bytes,
+        exposure=("auto" if arguments.bytes else 0.0) if arguments.exposure is None else arguments.exposure,
+        channel=arguments.channel,
         texels_per_meter=arguments.texels_per_meter,
         size=arguments.size,
         uv=arguments.uv,
@@ -133,6 +148,9 @@ def _bake_file(path, arguments, cells, start_seconds, several):
         if made_from:
             note(made_from)
         save_file(output, source)
+        if export:
+            with silent():
+                export_scene(context, export, arguments.layers[0])
         if picture:
             from .picture import save_picture
 

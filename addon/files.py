@@ -48,7 +48,7 @@ def open_file(path):
     ):
         raise Refused("it is not a .blend file")
     try:
-        with _silent():
+        with silent():
             bpy.ops.wm.open_mainfile(filepath=path)
     except RuntimeError as error:
         raise Refused(" ".join(str(error).replace("Error:", "").split())) from None
@@ -71,7 +71,7 @@ def save_file(output, source):
     """Save the open file as `output`, whole or not at all."""
     temporary = f"{output[: -len('.blend')] if output.endswith('.blend') else output}.tmp{os.getpid()}.blend"
     try:
-        with _silent():
+        with silent():
             bpy.ops.wm.save_as_mainfile(filepath=temporary, copy=True, check_existing=False)
         os.replace(temporary, output)
     except RuntimeError as error:
@@ -82,7 +82,7 @@ def save_file(output, source):
 
 
 @contextlib.contextmanager
-def _silent():
+def silent():
     """Keep Blender's own lines on the standard output out of ours."""
     sys.stdout.flush()
     kept = os.dup(1)

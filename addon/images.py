@@ -15,14 +15,15 @@ import numpy as np
 from .errors import Refused
 from .marks import KEY, is_made, mark
 
-SUFFIX = {"exr": ".exr", "png": ".png"}
+SUFFIX = {"exr": ".exr", "png": ".png", "byte": ".png"}
 DEEPEST = 65535  # of a 16-bit number
 
 
 def make_image(name, pixels, path=None, kind="exr"):
     """A marked Blender image of pixels (height, width, 3), line 0 at the bottom, saved at `path`, or packed without one.
 
-    Any older image of that name that a bake made is replaced. A PNG holds the light divided by image["scale"].
+    Any older image of that name that a bake made is replaced. kind: "exr"; "png", which holds the light divided by
+    image["scale"]; or "byte", 8 bits of what the screen shows, sRGB.
     """
     old = bpy.data.images.get(name)
     if old is not None and is_made(old):
@@ -32,8 +33,9 @@ def make_image(name, pixels, path=None, kind="exr"):
         scale = float(max(pixels.max(initial=0.0), 1e-30))
         pixels = np.rint(pixels * (DEEPEST / scale)) / DEEPEST
     height, width = pixels.shape[:2]
-    image = bpy.data.images.new(name, width, height, alpha=False, float_buffer=True)
-    image.colorspace_settings.name = "Non-Color"  # values are taken as they are, whatever the working space
+    image = bpy.data.images.new(name, width, height, alpha=False, float_buffer=kind != "byte")
+    # Light is taken as it is, whatever the working space.
+    image.colorspace_settings.name = "sRGB" if kind == "byte" else "Non-Color"
     rgba = np.ones((height, width, 4), np.float32)
     rgba[..., :3] = pixels
     image.pixels.foreach_set(rgba.reshape(-1))
@@ -71,10 +73,14 @@ def _save(image, path, kind):
         if kind == "exr":
             settings.file_format, settings.color_mode = "OPEN_EXR", "RGB"
             settings.color_depth, settings.exr_codec = "32", "ZIP"
+        elif kind == "byte":
+            image.filepath_raw, image.file_format = temporary, "PNG"
+            image.save()
         else:
             settings.file_format, settings.color_mode, settings.color_depth = "PNG", "RGB", "16"
             scene.display_settings.display_device, scene.view_settings.view_transform = "sRGB", "Raw"
-        image.save_render(temporary, scene=scene)
+        if kind != "byte":
+            image.save_render(temporary, scene=scene)
         os.replace(temporary, path)
     except (RuntimeError, OSError) as error:
         raise Refused(f"cannot write {path}: {' '.join(str(error).split())}") from None

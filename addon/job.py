@@ -31,6 +31,9 @@ class Options:
     simulated although the scene does not call for them. output: the file that the scene will be saved as, beside which
     images go.
 
+    bytes: 8-bit copies of the layers too, sRGB of the light times 2^exposure, "auto" for one that fits. channel:
+    (attribute, "R", "G", "B" or "A") that takes the first layer's brightness.
+
     Of lightmaps: texels_per_meter, or size of the images; uv: the map to use, None to unwrap; atlas: one for each
     "object" or for the "scene"; padding: texels between charts; image: "exr" or "png".
     """
@@ -51,6 +54,9 @@ class Options:
     force: tuple = ()
     output: str = ""
     target: str = "vertex"
+    bytes: bool = False
+    exposure: float | str = 0.0
+    channel: tuple | None = None
     texels_per_meter: float = 16.0
     size: int | None = None
     uv: str | None = None

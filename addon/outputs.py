@@ -11,7 +11,7 @@ import numpy as np
 
 from ..core.atlas import NoUnwrapper, make_atlas, read_atlas
 from ..core.health import Finding
-from ..core.layers import layer_colors, texel_colors
+from ..core.layers import layer_colors, luminance, texel_colors
 from ..core.lightmap import find_seams, look_up, make_images, make_texels
 from ..core.raycast import RayCaster
 from ..core.remesh import triangulated
@@ -19,9 +19,10 @@ from .errors import Refused
 from .images import image_path, make_image
 from .remesh import carry_groups, make_mesh, piece_of
 from .shown import forget_unused, show
-from .write_result import check_names, copy_with, source_mesh, writing_result
+from .write_result import check_names, copy_with, result_copy, source_mesh, srgb, writing_result
 
 UV_MAP = "Lightmap"
+EXPOSURE = "cell_radiosity_exposure"  # property of a mesh or image: the light was multiplied by 2 to this
 MOST_UV_MAPS = 8
 
 
@@ -32,15 +33,33 @@ class VertexColors:
 
     def __init__(self, options):
         self.options = options
-        self.place, self.lightmaps, self.findings = None, (), ()
+        self.place, self.lightmaps, self.findings, self.exposure = None, (), (), None
 
     def read(self, context, scene, targets):
-        """Check, before any work, that nothing of the user's is in the way."""
-        check_names(targets, self.options.layers)
+        """Check, before any work, that nothing of the user's is in the way, and that what is to be filled is there."""
+        layers = self.options.layers
+        check_names(targets, (*layers, *(map(coded, layers) if self.options.bytes else ())))
+        if self.options.channel:
+            name = self.options.channel[0]
+            for target in targets:
+                colors = bpy.data.objects[target.object].data.color_attributes
+                if name not in colors:
+                    there = ", ".join(c.name for c in colors) or "none"
+                    raise Refused(f"{target.object}: it has no color attribute {name!r} (it has: {there})")
 
     def compute(self, result):
         """Make the layers' colors of a Bake."""
-        self.colors = {layer: layer_colors(result, layer) for layer in self.options.layers}
+        colors = {layer: layer_colors(result, layer) for layer in self.options.layers}
+        first = next(iter(colors.values()))
+        self.exposure = exposure_of(self.options, first[result.points.corner])
+        self.encoded = tuple(map(coded, colors)) if self.options.bytes else ()
+        self.channel = None
+        if self.options.channel:
+            name, channel = self.options.channel
+            self.channel = (name, "RGBA".index(channel), luminance(first) * 2.0**self.exposure)
+        if self.options.bytes:
+            colors |= {coded(k): np.clip(v * 2.0**self.exposure, 0.0, 1.0) for k, v in colors.items()}
+        self.colors = colors
 
     def preview(self, bake):
         """What `painting` shows of a Bake whose light is still coming: the first layer, as it stands."""
@@ -57,7 +76,15 @@ class VertexColors:
 
     def writing(self, context, targets):
         """Write, in steps; returns Findings."""
-        return writing_result(context, self.colors, targets, self.options.domain)
+        findings = yield from writing_result(
+            context, self.colors, targets, self.options.domain, self.encoded, self.channel
+        )
+        if self.options.bytes:
+            for target in targets:
+                for object in (context.scene.objects.get(target.object), result_copy(context.scene, target.object)):
+                    if object is not None:
+                        object.data[EXPOSURE] = self.exposure
+        return findings
 
 
 class Lightmaps:
@@ -112,6 +139,7 @@ class Lightmaps:
         caster = RayCaster(scene.vertices, scene.triangles, scene.usable)
         self.seams = find_seams(scene, atlas, self._flipped, caster)
         self.images = {layer: self._make(layer, result) for layer in self.options.layers}
+        self.exposure = exposure_of(self.options, texel_colors(result, atlas, self.options.layers[0]))
         self.scene = scene
         self.findings = tuple(Finding(*f) for f in atlas.findings)
         count = np.bincount(texels.image, minlength=len(atlas.names))
@@ -147,14 +175,17 @@ class Lightmaps:
 
     def writing(self, context, targets):
         """Write images and copies, in steps; returns Findings."""
-        images, files = {}, []
+        images = {}
         output = self.options.output or bpy.data.filepath
         for layer, pictures in self.images.items():
             for number, name in enumerate(self.atlas.names):
                 yield
                 path = image_path(output, name, layer, self.options.image) if output else None
                 images[layer, number] = make_image(f"{name}_{layer}", pictures[number], path, self.options.image)
-                files.append(path)
+                if self.options.bytes:
+                    encoded = srgb(np.clip(pictures[number] * 2.0**self.exposure, 0.0, 1.0))
+                    path = image_path(output, name, coded(layer), "png") if output else None
+                    make_image(f"{name}_{coded(layer)}", encoded, path, "byte")[EXPOSURE] = self.exposure
         remesh = None if self._uv is not None else triangulated(self.scene)
         findings = []
         for target in targets:
@@ -191,6 +222,22 @@ class Lightmaps:
         layer = copy.data.uv_layers.new(name=UV_MAP, do_init=False)
         layer.uv.foreach_set("vector", uv.astype(np.float32).reshape(-1))
         return copy
+
+
+def coded(layer):
+    """Name of a layer's 8-bit copy."""
+    return f"{layer}_8bit"
+
+
+def exposure_of(options, colors):
+    """The exposure of 8-bit copies [stops]: what was asked for, or what keeps 99 % of colors (K, 3) below white; 0 if there
+    are none to be made."""
+    if not (options.bytes or options.exposure):
+        return 0.0
+    if options.exposure != "auto":
+        return float(options.exposure)
+    bright = np.quantile(colors.max(axis=1), 0.99) if len(colors) else 0.0
+    return float(-np.log2(bright)) if bright > 0 else 0.0
 
 
 def make_output(options):

@@ -24,6 +24,16 @@ def show(object, source, shader="emission"):
         slot.material = made[key]
 
 
+def discard(object):
+    """Remove an object with its mesh and the materials made for it."""
+    mesh, materials = object.data, [slot.material for slot in object.material_slots]
+    bpy.data.objects.remove(object)
+    bpy.data.meshes.remove(mesh)
+    for material in materials:
+        if material and material.get(KEY) and not material.users:
+            bpy.data.materials.remove(material)
+
+
 def forget_unused():
     """Remove materials and images that bakes made and nothing uses any more."""
     for things in (bpy.data.materials, bpy.data.images):

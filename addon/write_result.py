@@ -35,8 +35,12 @@ def write_result(context, colors, targets, domain):
     return run(writing_result(context, colors, targets, domain))
 
 
-def writing_result(context, colors, targets, domain):
-    """`write_result` in steps: a generator that yields before each object."""
+def writing_result(context, colors, targets, domain, encoded=(), channel=None):
+    """`write_result` in steps: a generator that yields before each object.
+
+    encoded: names of the layers that are written as 8-bit colors. channel: (attribute, number of its channel, (C,)
+    values), to be written into an attribute that is there.
+    """
     findings = []
     for target in targets:
         yield
@@ -45,9 +49,13 @@ def writing_result(context, colors, targets, domain):
             findings.append(mesh)
             continue
         for layer, values in colors.items():
-            _write_layer(mesh, layer, domain, _of_target(target, values))
+            kind = "BYTE_COLOR" if layer in encoded else "FLOAT_COLOR"
+            _write_layer(mesh, layer, domain, _of_target(target, values), kind)
         mark_layers(mesh, colors)
-        mesh.color_attributes.active_color = mesh.color_attributes[next(iter(colors))]
+        if channel:
+            _write_channel(mesh, *channel[:2], _of_target(target, channel[2]))
+        if colors:
+            mesh.color_attributes.active_color = mesh.color_attributes[next(iter(colors))]
         mesh.update()
     return tuple(findings)
 
@@ -119,25 +127,45 @@ def _place(context, target):
 
 
 def _of_target(target, values):
-    """(K, 3) those of the scene's corner values (C, 3) that are a target's, in the order of its mesh."""
-    own = np.empty((target.last - target.first, 3))
+    """(K, ...) those of the scene's corner values (C, ...) that are a target's, in the order of its mesh."""
+    own = np.empty((target.last - target.first, *values.shape[1:]))
     own[target.corner] = values[target.first : target.last]
     return own
 
 
-def _write_layer(mesh, layer, domain, values):
-    """Put corner values (K, 3) into the mesh's float color attribute `layer`, made anew if it is of another kind."""
+def _write_layer(mesh, layer, domain, values, kind="FLOAT_COLOR"):
+    """Put corner values (K, 3) into the mesh's color attribute `layer`, made anew if it is of another kind."""
     attribute = mesh.color_attributes.get(layer)
-    if attribute is not None and (attribute.domain != domain or attribute.data_type != "FLOAT_COLOR"):
+    if attribute is not None and (attribute.domain != domain or attribute.data_type != kind):
         mesh.color_attributes.remove(attribute)
         attribute = None
     if attribute is None:
-        attribute = mesh.color_attributes.new(layer, "FLOAT_COLOR", domain)
+        attribute = mesh.color_attributes.new(layer, kind, domain)
     if domain == "POINT":
         values = vertex_means(values, _corner_vertices(mesh), len(mesh.vertices))
     rgba = np.ones((len(values), 4), np.float32)
     rgba[:, :3] = values
     attribute.data.foreach_set("color", rgba.reshape(-1))
+
+
+def _write_channel(mesh, name, channel, values):
+    """Put corner values (K,) into one channel of a color attribute that is there, in the light's own or 8-bit terms."""
+    attribute = mesh.color_attributes[name]
+    if attribute.domain == "POINT":
+        values = vertex_means(values[:, None], _corner_vertices(mesh), len(mesh.vertices))[:, 0]
+    stored = "color_srgb" if attribute.data_type == "BYTE_COLOR" else "color"
+    rgba = np.empty(4 * len(attribute.data), np.float32)
+    attribute.data.foreach_get(stored, rgba)
+    if stored == "color_srgb":
+        values = np.clip(values, 0.0, 1.0)
+        values = values if channel == 3 else srgb(values)
+    rgba.reshape(-1, 4)[:, channel] = values
+    attribute.data.foreach_set(stored, rgba)
+
+
+def srgb(values):
+    """What sRGB stores for linear values 0..1 (IEC 61966-2-1)."""
+    return np.where(values <= 0.0031308, 12.92 * values, 1.055 * np.maximum(values, 0.0) ** (1 / 2.4) - 0.055)
 
 
 def _corner_vertices(mesh):

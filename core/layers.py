@@ -42,6 +42,11 @@ def _arriving(light, layer):
 
 
 def vertex_means(colors, corner_vertex, count):
-    """(V, 3) plain mean of corner colors (C, 3) over the corners of each of `count` vertices; 0 at loose ones."""
+    """(V, K) plain mean of corner values (C, K) over the corners of each of `count` vertices; 0 at loose ones."""
     number = np.maximum(np.bincount(corner_vertex, minlength=count), 1)
-    return np.stack([np.bincount(corner_vertex, colors[:, c], count) for c in range(3)], axis=1) / number[:, None]
+    return np.stack([np.bincount(corner_vertex, channel, count) for channel in colors.T], axis=1) / number[:, None]
+
+
+def luminance(colors):
+    """(...) brightness of linear colors (..., 3) (ITU-R BT.709)."""
+    return np.einsum("...c,c->...", colors, np.array((0.2126, 0.7152, 0.0722)))
