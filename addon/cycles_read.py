@@ -137,38 +137,49 @@ def _add_attribute(mesh, attribute, field, values):
 
 def _bake(context, meshes, unread):
     """For each mesh three arrays (S, 3): diffuse and glossy color, and emitted radiance, of its triangles."""
-    scene = bpy.data.scenes.new("radiosity samples")
     objects = []
     try:
-        scene.render.engine = "CYCLES"
-        scene.cycles.samples, scene.cycles.use_adaptive_sampling, scene.cycles.use_denoising = 1, False, False
         for mesh, u in zip(meshes, unread):
             mesh.color_attributes.active_color = mesh.color_attributes.new("radiosity read", "FLOAT_COLOR", "CORNER")
             object = bpy.data.objects.new(u.object.original.name, mesh)
             object.matrix_world = u.matrix
-            scene.collection.objects.link(object)
             objects.append(object)
-        layer = scene.view_layers[0]
-        layer.update()
-        for object in objects:
-            object.select_set(True, view_layer=layer)
-        layer.objects.active = objects[0]
         result = [[] for _ in objects]
-        with context.temp_override(scene=scene, view_layer=layer, object=objects[0], active_object=objects[0],
-                                   selected_objects=objects, selected_editable_objects=objects):  # fmt: skip
+        with one_sample_scene(context, objects):
             for kind, parts in PASSES:
                 bpy.ops.object.bake(type=kind, pass_filter=parts, target="VERTEX_COLORS")
                 for object, found in zip(objects, result):
                     values = _array(object.data.attributes["radiosity read"], "color", 4)[:, :3]
                     found.append(np.nan_to_num(values.reshape(-1, 3, 3).mean(axis=1)))
         return result
+    finally:
+        for mesh in meshes:
+            bpy.data.meshes.remove(mesh)
+
+
+@contextlib.contextmanager
+def one_sample_scene(context, objects):
+    """A scene of its own for objects, all selected, in which Cycles bakes with one sample; it and they are removed at the
+    end. Raises CannotRead if Cycles fails."""
+    scene = bpy.data.scenes.new("radiosity samples")
+    try:
+        scene.render.engine = "CYCLES"
+        scene.cycles.samples, scene.cycles.use_adaptive_sampling, scene.cycles.use_denoising = 1, False, False
+        for object in objects:
+            scene.collection.objects.link(object)
+        layer = scene.view_layers[0]
+        layer.update()
+        for object in objects:
+            object.select_set(True, view_layer=layer)
+        layer.objects.active = objects[0]
+        with context.temp_override(scene=scene, view_layer=layer, object=objects[0], active_object=objects[0],
+                                   selected_objects=objects, selected_editable_objects=objects):  # fmt: skip
+            yield scene
     except (RuntimeError, TypeError, AttributeError) as error:
         raise CannotRead(str(error)) from None
     finally:
         for object in objects:
             bpy.data.objects.remove(object)
-        for mesh in meshes:
-            bpy.data.meshes.remove(mesh)
         with contextlib.suppress(RuntimeError):
             bpy.data.scenes.remove(scene)
 

@@ -1,4 +1,4 @@
-"""Blender's materials and world as what the core knows: total reflectance, translucency and exitance.
+"""Blender's materials as what the core knows: total reflectance, translucency and exitance.
 
 Owns the reading of shader graphs whose values are constant, or an image as their color. Others are left to
 `cycles_read`.
@@ -138,7 +138,7 @@ def _shown_alpha(socket, graph):
     if node.type == "BSDF_PRINCIPLED":
         return _alpha(node.inputs["Alpha"], graph)
     if node.type == "BSDF_TRANSPARENT":
-        return 1.0 - float(_color(node.inputs["Color"]).mean())
+        return 1.0 - float(node_color(node.inputs["Color"]).mean())
     if node.type == "MIX_SHADER":
         if (cut := _cut_of_mix(node)) is not None:
             graph.cut_by(cut[0])
@@ -146,7 +146,7 @@ def _shown_alpha(socket, graph):
         parts = [_shown_alpha(node.inputs[k], graph) for k in (1, 2)]
         if parts == [1.0, 1.0]:
             return 1.0
-        share = np.clip(_value(node.inputs[0]), 0.0, 1.0)
+        share = np.clip(node_value(node.inputs[0]), 0.0, 1.0)
         return float(parts[0] * (1.0 - share) + parts[1] * share)
     return 1.0
 
@@ -155,7 +155,7 @@ def _alpha(socket, graph):
     """The constant alpha of a socket; an image that feeds it is noted in the graph."""
     cut = _image(socket, ("Alpha", "Color"))
     if cut is None:
-        return float(np.clip(_value(socket), 0.0, 1.0))
+        return float(np.clip(node_value(socket), 0.0, 1.0))
     graph.cut_by(cut)
     return 1.0
 
@@ -212,30 +212,6 @@ def viewport_material(material):
     return Material(material.name, tuple(np.clip(material.diffuse_color[:3], 0, 1)))
 
 
-def read_world(world, ignored):
-    """Radiance (3,) of a Blender world of one color; what varies is replaced by the viewport's color and ignored."""
-    if world is None:
-        return (0.0, 0.0, 0.0)
-    tree = node_tree(world)
-    if tree is None:
-        return tuple(world.color)
-    output = tree.get_output_node("CYCLES")
-    if output is None:
-        return (0.0, 0.0, 0.0)
-    try:
-        links = output.inputs["Surface"].links
-        return tuple(_background(links[0].from_node)) if links else (0.0, 0.0, 0.0)
-    except NotConstant as problem:
-        ignored.append((world.name, f"the world varies ({problem}): its viewport color lights the scene evenly"))
-        return tuple(world.color)
-
-
-def _background(node):
-    if node.type == "BACKGROUND":
-        return np.maximum(_color(node.inputs["Color"]) * _value(node.inputs["Strength"]), 0.0)
-    raise NotConstant(node.bl_label)
-
-
 def _shader(socket, graph):
     """The _Surface of a shader socket."""
     if not socket.is_linked:
@@ -249,9 +225,9 @@ def _shader(socket, graph):
 def _principled(node, graph):
     get = {s.name: s for s in node.inputs}
     base, tint = _base(get["Base Color"], graph)
-    metal, clear = _value(get["Metallic"]), _value(get["Transmission Weight"])
+    metal, clear = node_value(get["Metallic"]), node_value(get["Transmission Weight"])
     for name, word in (("Subsurface Weight", "subsurface light"), ("Coat Weight", "a coat"), ("Sheen Weight", "sheen")):
-        if name in get and _value(get[name]) > 0:
+        if name in get and node_value(get[name]) > 0:
             graph.notes.append(f"{word} is left out")
     mirror = _mirror(get)
     opaque = (1.0 - metal) * (1.0 - clear)
@@ -269,9 +245,9 @@ def _principled(node, graph):
 
 def _mirror(get):
     """Share of light that a dielectric coat reflects: Fresnel's at right angles, less where it is rough (measured)."""
-    ior, rough = _value(get["IOR"]), np.clip(_value(get["Roughness"]), 0.0, 1.0)
-    level = _value(get["Specular IOR Level"]) if "Specular IOR Level" in get else 0.5
-    tint = np.clip(_color(get["Specular Tint"]), 0.0, 1.0) if "Specular Tint" in get else np.ones(3)
+    ior, rough = node_value(get["IOR"]), np.clip(node_value(get["Roughness"]), 0.0, 1.0)
+    level = node_value(get["Specular IOR Level"]) if "Specular IOR Level" in get else 0.5
+    tint = np.clip(node_color(get["Specular Tint"]), 0.0, 1.0) if "Specular Tint" in get else np.ones(3)
     fresnel = ((ior - 1.0) / (ior + 1.0)) ** 2 * 2.0 * level
     return np.clip(fresnel * (1.0 - 0.65 * rough**3.5) * tint, 0.0, 1.0)
 
@@ -282,16 +258,16 @@ def _diffuse(node, graph):
 
 
 def _glossy(node, graph):
-    return _surface(gloss=METAL * np.clip(_color(node.inputs["Color"]), 0.0, None))
+    return _surface(gloss=METAL * np.clip(node_color(node.inputs["Color"]), 0.0, None))
 
 
 def _glass(node, graph):
     graph.notes.append("refraction: light that would pass is sent back")
-    return _surface(gloss=np.clip(_color(node.inputs["Color"]), 0.0, 1.0))
+    return _surface(gloss=np.clip(node_color(node.inputs["Color"]), 0.0, 1.0))
 
 
 def _translucent(node, graph):
-    return _surface(through=np.clip(_color(node.inputs["Color"]), 0.0, None))
+    return _surface(through=np.clip(node_color(node.inputs["Color"]), 0.0, None))
 
 
 def _emission(node, graph):
@@ -302,7 +278,7 @@ def _mix(node, graph):
     if (cut := _cut_of_mix(node)) is not None:
         graph.cut_by(cut[0])
         return _shader(cut[1], graph)
-    share = np.clip(_value(node.inputs[0]), 0.0, 1.0)
+    share = np.clip(node_value(node.inputs[0]), 0.0, 1.0)
     return _shader(node.inputs[1], graph) * (1.0 - share) + _shader(node.inputs[2], graph) * share
 
 
@@ -311,7 +287,7 @@ def _add(node, graph):
 
 
 def _transparent(node, graph):
-    return _surface(clear=np.clip(_color(node.inputs["Color"]), 0.0, 1.0))
+    return _surface(clear=np.clip(node_color(node.inputs["Color"]), 0.0, 1.0))
 
 
 def _reroute(node, graph):
@@ -338,7 +314,7 @@ def _emitted(color, strength):
     """Radiance (3,) of an emission; light that a bake wrote and a user hooked up to be seen does not shine again."""
     if _is_layer(color) or _is_layer(strength):
         return np.zeros(3)
-    return _color(color) * _value(strength)
+    return node_color(color) * node_value(strength)
 
 
 def _is_layer(socket):
@@ -356,7 +332,7 @@ def _base(socket, graph):
     """The constant color (3,) of a socket and the factor (3,) of the graph's texture; one of them is 0."""
     texture = _image(socket)
     if texture is None:
-        return np.clip(_color(socket), 0.0, 1.0), np.zeros(3)
+        return np.clip(node_color(socket), 0.0, 1.0), np.zeros(3)
     graph.use(texture)
     return np.zeros(3), np.ones(3)
 
@@ -402,7 +378,7 @@ def read_pixels(picture, largest=1024):
     return 1.0 - pixels if picture.inverted else pixels
 
 
-def _color(socket):
+def node_color(socket):
     """The constant color (3,) of a socket; one of our own layers counts as the color it replaced, the socket's own."""
     if not socket.is_linked or _is_layer(socket):
         value = socket.default_value
@@ -413,11 +389,11 @@ def _color(socket):
     if node.type == "VALUE":
         return np.full(3, node.outputs[0].default_value)
     if node.type == "REROUTE":
-        return _color(node.inputs[0])
+        return node_color(node.inputs[0])
     raise NotConstant(node.bl_label)
 
 
-def _value(socket):
+def node_value(socket):
     """The constant value of a socket."""
     if not socket.is_linked:
         return float(socket.default_value)
@@ -425,5 +401,5 @@ def _value(socket):
     if node.type == "VALUE":
         return float(node.outputs[0].default_value)
     if node.type == "REROUTE":
-        return _value(node.inputs[0])
+        return node_value(node.inputs[0])
     raise NotConstant(node.bl_label)

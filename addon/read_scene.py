@@ -17,14 +17,15 @@ from mathutils import Matrix
 
 from ..core.bake import run
 from ..core.health import Finding
-from ..core.scene import Mesh, World, join_meshes
+from ..core.scene import Mesh, join_meshes
 from ..core.surfaces import Texture
 from .cycles_read import CannotRead, Unread, read_with_cycles
 from .lamps import read_lamp
 from .marks import is_made, originals_shown
 from .material_setup import passed_by
-from .materials import NotConstant, read_alpha, read_material, read_pixels, read_world, viewport_material
+from .materials import NotConstant, read_alpha, read_material, read_pixels, viewport_material
 from .steps import aside
+from .world_read import read_world
 
 SOLID = {"MESH", "CURVE", "SURFACE", "META", "FONT"}
 
@@ -84,9 +85,13 @@ def _reading(context, wanted, shared, spacing, step):
         for k, p in enumerate(placed)
         if written[k]
     )
+    hidden = _hidden(scene, depsgraph, rendered)
+    world, suns = read_world(context, scene.world and scene.world.original, reader.ignored)
+    yield
     joined = yield from aside(
-        step, join_meshes, meshes, reader.materials, lamps, World(read_world(scene.world, reader.ignored)), written, scene.name,
-        textures=tuple(reader.textures), shared=np.unique([id(p.shape) for p in placed], return_inverse=True)[1], health=tuple(reader.health + _hidden(scene, depsgraph, rendered)),
+        step, join_meshes, meshes, reader.materials, lamps + list(suns), world, written, scene.name,
+        textures=tuple(reader.textures), shared=np.unique([id(p.shape) for p in placed], return_inverse=True)[1],
+        health=tuple(reader.health + hidden),
     )  # fmt: skip
     readings = _read_others(context, context.evaluated_depsgraph_get(), reader, joined, placed, corner, spacing)
     return replace(joined, readings=readings, ignored=tuple(dict.fromkeys(reader.ignored))), targets

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import log
 from time import perf_counter, process_time
 
@@ -21,8 +21,9 @@ from .paper import solve_paper
 from .patches import Patches, make_patches, patch_of_hit
 from .placing import refill, thin_findings
 from .points import Points, make_points
-from .scene import Scene
+from .scene import Scene, World
 from .settings import Settings
+from .sky import split_sky
 from .surfaces import make_surfaces
 
 
@@ -78,14 +79,16 @@ def _bake(scene, settings, cells, place):
 
     edge = None if settings.patch_edge is None else settings.patch_edge * scene.diagonal
     patches = make_patches(scene, edge)
-    sources, sampled = make_sources(scene)
+    world = scene.world if found.needs("sky") else World()
+    sky, _ = split_sky(world)
+    sources, sampled = make_sources(replace(scene, world=world))
     if not found.needs("color"):
         sources = sources.one_channel()
-    cells.start(transport_arrays(patches, sources, found.needs("occlusion")))
+    cells.start(transport_arrays(patches, sources, found.needs("occlusion"), len(sky)))
     # Patches that are to be the mesh's own polygons stay what they are.
     if edge is not None and found.needs("occlusion"):
         patches = cut_contacts(scene, patches, cells)
-    surfaces, sky = _surfaces(scene, patches, sampled, found)
+    surfaces, sky = _surfaces(scene, patches, sampled, found, np.pi * sky.T)
     if surfaces.coverage is not None:
         cells.start({"alpha.coverage": surfaces.coverage[::2]})
     clock.lap("patches")
@@ -115,14 +118,11 @@ def _bake(scene, settings, cells, place):
     )  # fmt: skip
 
 
-def _surfaces(scene, patches, sampled, found):
-    """The Surfaces of patches and exitance (C,) of the world, without what the survey found to be left out."""
+def _surfaces(scene, patches, sampled, found, sky):
+    """The Surfaces of patches, and exitance (C, M) of the sky, without what the survey found to be left out."""
     surfaces = make_surfaces(simplified(scene, found), patches, sampled)
-    sky = np.pi * np.asarray(scene.world.radiance, float)
-    if not found.needs("sky"):
-        sky = np.zeros_like(sky)
     if not found.needs("color"):
-        surfaces, sky = surfaces.one_channel(), sky.mean(keepdims=True)
+        surfaces, sky = surfaces.one_channel(), sky.mean(axis=0, keepdims=True)
     if not found.needs("two-sided"):
         surfaces = surfaces.reflecting(np.arange(2 * len(patches)) % 2 == 0)
     if not (found.needs("interreflection") or surfaces.found.any() or sky.any()):

@@ -19,8 +19,9 @@ from .kernel import cast_arrays
 from .lights import emitting_polygons, lamp_outline, lamp_power
 from .sampling import R2, R4, hemisphere, scatter, tangents
 from .settings import EFFECTS, Settings
+from .sky import split_sky
 from .surfaces import LARGEST_REFLECTANCE
-from .vectors import dot
+from .vectors import dot, length, unit
 
 DARK = 1e-3  # an object whose front gets less than this share of what its back gets is lit from behind
 SHARE = 0.2  # of the error asked for that one effect may be worth when it is left out
@@ -285,6 +286,11 @@ def _tint(color):
     return float((color.max() - color.min()) / mean) if mean > 0 else 0.0
 
 
+def _world_tint(world):
+    """How far a world is from gray, as a share of its mean."""
+    return _tint(world.radiance) if world.map is None else _apart(world.map.reshape(-1, 3))
+
+
 def _texture_range(texture):
     """Darkest and brightest color (3,) of a texture, and how far from gray it is anywhere, as a share of its mean."""
     pixels = texture.pixels
@@ -313,14 +319,18 @@ def _occlusion(look, two_sided):
     if len(look.emitting):
         corners = np.concatenate([np.arange(*scene.polygon_start[p : p + 2]) for p in look.emitting[:MOST_GLOWING]])
         sources.append((scene.vertices[np.unique(scene.corner_vertex[corners])], None))
+    if look.sky.needed:
+        for group in split_sky(scene.world)[1]:
+            middle = unit(group.directions.mean(axis=0))
+            sources.append((float(length(group.directions - middle).max()) + group.spread, middle))
     if not sources:
         return Effect("occlusion", False, "there is no lamp or emitting face that anything could stand before")
     if len(look.emitting) > MOST_GLOWING:
         return Effect("occlusion", True, f"{len(look.emitting)} emitting faces can shade one another")
-    unit = 1.0 / max(scene.diagonal, 1e-300)
-    middle = scene.bounds.mean(axis=0)
+    scale = 1.0 / max(scene.diagonal, 1e-300)
+    center = scene.bounds.mean(axis=0)
     normal = scene.triangle_normal_area[0][look.usable]
-    corner = (scene.vertices[scene.triangles[look.usable]] - middle) * unit
+    corner = (scene.vertices[scene.triangles[look.usable]] - center) * scale
     planes = [(normal, look.usable)] + ([(-normal, look.usable)] if two_sided else [])
     normal = np.concatenate([n for n, _ in planes])
     corner = np.concatenate([corner] * len(planes))
@@ -334,7 +344,7 @@ def _occlusion(look, two_sided):
             rise = dot(normal, direction)
             rises = [rise - places, rise + places]
         else:
-            rises = (dot(normal, place) - offset for place in (places - middle) * unit)
+            rises = (dot(normal, place) - offset for place in (places - center) * scale)
         for rise in rises:
             np.minimum(least, rise, out=least)
             np.maximum(most, rise, out=most)
@@ -419,7 +429,7 @@ def _color(look):
     shades = [(f"the material {scene.materials[m].name}", look.materials.tint[m]) for m in used]
     lights = [(f"the lamp {lamp.name}", _tint(lamp.strength)) for lamp in look.lamps]
     lights += [(f"the emission of {scene.materials[m].name}", _tint(scene.materials[m].exitance)) for m in used]
-    lights += [("the world", _tint(scene.world.radiance))] if look.sky.needed else []
+    lights += [("the world", _world_tint(scene.world))] if look.sky.needed else []
     if scene.readings is not None and len(scene.readings.triangle):
         read = scene.readings
         shades.append(("what Cycles read of nodes", _apart(read.reflectance)))

@@ -20,6 +20,7 @@ from .kernel import scene_arrays
 from .lights import make_sources
 from .patches import make_patches
 from .replay import CAUSES, ReplayCells, TaskTimes, measure_messages
+from .sky import split_sky
 from .surfaces import make_surfaces
 
 LEVELS = (0.1, 0.01, 0.001)  # of the bound, to which rounds and shots are counted
@@ -128,8 +129,9 @@ def _ground(scene, settings):
     patches = make_patches(scene, edge)
     sources, sampled = make_sources(scene)
     cells = LocalCells()
-    cells.start(scene_arrays(scene, patches, sources))
-    return patches, make_surfaces(scene, patches, sampled), np.pi * np.asarray(scene.world.radiance, float), cells
+    sky, _ = split_sky(scene.world)
+    cells.start(scene_arrays(scene, patches, sources, len(sky)))
+    return patches, make_surfaces(scene, patches, sampled), np.pi * sky.T, cells
 
 
 def table(runs):

@@ -44,7 +44,7 @@ class Light:
 def gather(points, solution, surfaces, sky, diagonal, cells, settings):
     """Find the Light at points: a generator that yields (points done, all points) and returns the Light.
 
-    sky: (C,) exitance of the world [W/m^2]; diagonal: of the scene [m]. cells: started with `kernel.scene_arrays`.
+    sky: (C, M) exitance of the world, of each cell of its map [W/m^2]; diagonal: of the scene [m]. cells: started with `kernel.scene_arrays`.
     """
     # What rays bring, with what comes from beyond last: reflected light, and light no sampled source stands for.
     black = np.zeros_like(sky)
@@ -106,7 +106,7 @@ def gather_points(kernel, start, stop, rays, seed):
 
 
 def _mean_light(light, side, rays, above):
-    """(C, K) mean of what light (C, 2 N + 1) brings along the rays that met sides (K * n,); above: (K, n) bool, the
+    """(C, K) mean of what light (C, 2 N + M) brings along the rays that met sides (K * n,); above: (K, n) bool, the
     rays that count, or None for all."""
     seen = (np.take(channel, side, mode="wrap").reshape(-1, rays) for channel in light)
     if above is not None:

@@ -16,6 +16,7 @@ from time import perf_counter
 import numpy as np
 
 from .graphs import components
+from .sky import solid_angles
 from .vectors import ratio
 
 TASK_RAYS = 1 << 15  # of one task at most: some 10 ms
@@ -98,7 +99,8 @@ class RayRows:
     def shoot(self, power, start=0):
         """Power (C, 2 N) that arrives on all sides and (C,) that escapes, when rows from `start` on send power (C, K)."""
         target = self.hits[start:].reshape(-1).astype(np.intp)
-        target += 1  # escaped rays are counted first
+        target += 1  # escaped rays are counted first, wherever to
+        np.maximum(target, 0, out=target)
         each = np.empty(self.hits[start:].shape)
         arrived = np.empty((len(power), self.count + 1))
         for channel, result in zip(power, arrived):
@@ -107,7 +109,7 @@ class RayRows:
         return arrived[:, 1:], arrived[:, 0]
 
     def gather(self, light, beyond):
-        """(C, K) irradiance of the rows' sides, from light (C, 2 N) of the sides they hit and (C,) from beyond."""
+        """(C, K) irradiance of the rows' sides, from light (C, 2 N) of the sides they hit and (C, M) of the sky's cells."""
         light = np.column_stack([light, beyond])
         result = np.empty((len(light), len(self.sides)))
         rows = max(BLOCK // self.rays, 1)
@@ -121,6 +123,12 @@ class RayRows:
     def escaped(self, start=0):
         """(K,) share of the light that escapes, of the rows from `start` on."""
         return (self.hits[start:] < 0).sum(axis=1) / self.rays
+
+    def sky_light(self, sky, start=0):
+        """(C, K) irradiance that the sky's cells (C, M) give the sides of the rows from `start` on."""
+        hits = self.hits[start:].reshape(-1)
+        seen = (np.where(hits < 0, np.take(cells, hits, mode="wrap"), 0.0).reshape(-1, self.rays) for cells in sky)
+        return np.stack([np.einsum("kn->k", channel) for channel in seen]) / self.rays
 
     def links(self, island, start=0):
         """Pairs (L,), (L,) of islands (2 N,) that rows from `start` on lead from and to."""
@@ -173,11 +181,16 @@ class AnalyticRows:
         if len(filled):
             for channel, result in zip(light, seen):
                 result[filled] = np.add.reduceat(channel[self.target] * self.share, self.start[filled])
-        return seen + self.escaped() * np.asarray(beyond)[:, None]
+        return seen + self.sky_light(beyond)
 
     def escaped(self, start=0):
         owner = np.repeat(np.arange(len(self.sides) - start), np.diff(self.start[start:]))
         return 1.0 - np.bincount(owner, self.share[self.start[start] :], len(self.sides) - start)
+
+    def sky_light(self, sky, start=0):  # the rows do not know where to: the sky's mean
+        sky = np.reshape(sky, (len(sky), -1))
+        angle = solid_angles(int(np.sqrt(sky.shape[1])))
+        return self.escaped(start) * np.einsum("cm,m->c", sky, angle)[:, None] / angle.sum()
 
     def links(self, island, start=0):
         here = np.repeat(island[self.sides[start:]], np.diff(self.start[start:]))
@@ -200,7 +213,7 @@ class Transport:
         self.area = np.repeat(area, 2)
         if surfaces.coverage is not None:  # of what rays may pass, the part that light falls on
             self.area = self.area * np.maximum(surfaces.coverage, LEAST_COVERAGE)
-        self.surfaces, self.sky = surfaces, np.asarray(sky, float)[:, None]
+        self.surfaces, self.sky = surfaces, np.reshape(np.asarray(sky, float), (len(sky), -1))
         self.direct = direct
         self.rows = rows
         self.own = self.area * (surfaces.found if own is None else own)
@@ -211,7 +224,9 @@ class Transport:
         # Shot and arrived through rows that were not kept.
         self.loose_shot, self.loose_arrived, self.loose_escaped = np.zeros_like(direct), np.zeros_like(direct), 0.0
         # A side without a row may see all of the sky, for all we know: power it would send on then.
-        self.ahead = surfaces.send(self.area * self.sky * np.ones_like(direct))
+        angle = solid_angles(int(np.sqrt(self.sky.shape[1])))
+        most = np.minimum(self.sky.max(axis=1), np.einsum("cm,m->c", self.sky, angle) / np.pi)[:, None]
+        self.ahead = surfaces.send(self.area * most * np.ones_like(direct))
         self.island = np.zeros(direct.shape[1], np.int64) if island is None else np.asarray(island, np.int64)
 
     @property
@@ -244,9 +259,8 @@ class Transport:
                 continue
             if self.sky.any():
                 seen = np.zeros_like(self.arrived)
-                seen[:, part] = (
-                    np.where(self.ahead[:, part].any(axis=0), self.area[part] * rows.escaped(first), 0.0) * self.sky
-                )
+                waits = self.ahead[:, part].any(axis=0)
+                seen[:, part] = np.where(waits, self.area[part] * rows.sky_light(self.sky, first), 0.0)
                 self.first += seen
                 self._receive(seen)
                 self.ahead[:, part] = 0.0
@@ -277,7 +291,7 @@ class Transport:
 
             def update(values):
                 arriving[:, sides] = values
-                return self.direct[:, sides] + rows.gather(surfaces.found + surfaces.send(arriving), self.sky[:, 0])
+                return self.direct[:, sides] + rows.gather(surfaces.found + surfaces.send(arriving), self.sky)
 
             start, largest = irradiance[:, sides], surfaces.returned[:, sides]
             values, sweeps, bound = fixed_point(update, start, largest, self.area[sides], target, self.island[sides])
@@ -409,7 +423,7 @@ def _least_residual(update, values, updated, goal):
 def solve(patches, surfaces, sky, cells, settings, survey=None):
     """Find the Solution: a generator that yields a Round after every round and returns the Solution.
 
-    sky: (C,) exitance of the world [W/m^2]. survey: the Survey of the scene, if one was made. cells: started with `kernel.scene_arrays`.
+    sky: (C, M) exitance of the world, of each cell of its map [W/m^2]. survey: the Survey of the scene, if one was made. cells: started with `kernel.scene_arrays`.
     """
     begun = perf_counter()
     count, target = 2 * len(patches), settings.error / 10

@@ -16,6 +16,7 @@ from .patches import Patches, patch_of_hit
 from .points import Points
 from .raycast import RayCaster
 from .records import from_arrays, to_arrays
+from .sky import cells_of
 
 NONE = np.zeros(0)  # stands for an array that there is not: cells keep what they are not given anew
 BLOCK = 1 << 14  # rays cast at a time: their arrays stay in the processor's cache
@@ -36,18 +37,18 @@ def cast_arrays(scene, veiled=False):
     }  # fmt: skip
 
 
-def transport_arrays(patches, sources, occluded=True):
+def transport_arrays(patches, sources, occluded=True, sky=1):
     """Those that they need beside them for transport. occluded: something may stand between a source and what it could
-    light; else no ray looks whether it does."""
+    light; else no ray looks whether it does. sky: cells of the map that escaping rays read."""
     return {
         **to_arrays("patches", patches), **to_arrays("sources", sources),
-        "occlusion.any": np.array(occluded), "alpha.coverage": NONE,
+        "occlusion.any": np.array(occluded), "alpha.coverage": NONE, "sky.cells": np.array(sky),
     }  # fmt: skip
 
 
-def scene_arrays(scene, patches, sources):
+def scene_arrays(scene, patches, sources, sky=1):
     """The arrays that cells need for transport, as {name: array}."""
-    return {**cast_arrays(scene), **transport_arrays(patches, sources)}
+    return {**cast_arrays(scene), **transport_arrays(patches, sources, sky=sky)}
 
 
 class Kernel:
@@ -76,6 +77,11 @@ class Kernel:
     @cached_property
     def sources(self):
         return from_arrays(Sources, "sources", self.arrays)
+
+    @cached_property
+    def sky_size(self):
+        """Cells of a side of the map that escaping rays read."""
+        return int(np.sqrt(self.arrays["sky.cells"]))
 
     @property
     def coverage(self):
@@ -121,11 +127,13 @@ class Kernel:
         return patch_of_hit(self.patches, self.vertices, self.triangles, triangle, u, v)
 
     def sides_hit(self, origins, directions):
-        """What K rays meet first: side (K,) int32, 2 * patch + (1 on its back), -1 where the ray escaped; and the
+        """What K rays meet first: side (K,) int32, 2 * patch + (1 on its back); where the ray escaped, the cell of the sky
+        that it went to less the number of cells, so that the last cell is -1; and the
         triangle (K,), its distance (K,) in scene diagonals."""
         triangle, u, v, distance, back = self.caster.hits(origins, directions)
         side = self.patch_hit(triangle, u, v)
         side *= 2
         side += back
-        side[triangle < 0] = -1
+        escaped = np.flatnonzero(triangle < 0)
+        side[escaped] = -1 if self.sky_size == 1 else cells_of(directions[escaped], self.sky_size) - self.sky_size**2
         return side, triangle, distance

@@ -13,9 +13,11 @@ import numpy as np
 from .polygons import polygon_factor
 from .sampling import tangents
 from .scene import newell_normals
+from .sky import split_sky
 from .vectors import cross, dot, length, ratio, unit
 
-FLAT, BALL, SUN = 0, 1, 2  # kinds of source: a flat polygon, a point or spot lamp, a sun
+# Kinds of source: a flat polygon, a point or spot lamp, a sun, a group of bright directions of the sky.
+FLAT, BALL, SUN, SKY = 0, 1, 2, 3
 MOST_SOURCES = 32  # emitting faces beyond the strongest ones are found by the gather rays instead
 MOST_MERGED = 4096  # emitting polygons beyond this number are not merged into flat sources
 NEAR = 0.08  # a patch is near a source if it reaches further than this share of the distance to it
@@ -28,10 +30,11 @@ class Sources:
     """S sources of direct light.
 
     kind: (S,) int8. strength: (S, 3) exitance of a FLAT [W/m^2], intensity of a BALL [W/sr], irradiance of a surface
-    that faces a SUN [W/m^2]. position: (S, 3) center. direction: (S, 3) unit, the way it shines (a FLAT's normal).
-    two_sided: (S,) bool. radius: (S,) of a BALL [m], or sine of the half angle of a SUN. soft: (S,) bool, a BALL is a
+    that faces a SUN or SKY [W/m^2]. position: (S, 3) center. direction: (S, 3) unit, the way it shines (a FLAT's normal).
+    two_sided: (S,) bool. radius: (S,) of a BALL [m], or sine of the half angle of a SUN, or of each direction of a SKY. soft: (S,) bool, a BALL is a
     disk that faces the receiver. cone: (S, 2) cosine of a spot's half angle (-1: no cone) and its blend.
-    corner_start: (S + 1,) int32, corner: (C, 3) convex polygons of the FLAT ones.
+    corner_start: (S + 1,) int32, corner: (C, 3) convex polygons of the FLAT ones, and unit vectors toward the directions
+    of the SKY ones.
     """
 
     kind: np.ndarray
@@ -73,6 +76,10 @@ def make_sources(scene):
     """
     found = [_of_lamp(lamp) for lamp in scene.lamps if max(lamp.strength) > 0]
     sampled = np.zeros(len(scene.polygon_material), bool)
+    found += [
+        _source(SKY, g.irradiance, (0,) * 3, -unit(g.directions.mean(axis=0)), radius=g.spread, corners=g.directions)
+        for g in split_sky(scene.world)[1]
+    ]
     flats = sorted(_emitting_flats(scene), key=lambda flat: (-flat[2], flat[0][0]))
     for polygons, corners, _ in flats[:MOST_SOURCES]:
         sampled[polygons] = True
@@ -116,6 +123,9 @@ def unoccluded(sources, s, position, normal):
     kind = sources.kind[s]
     if kind == SUN:
         return np.maximum(-dot(normal, sources.direction[s]), 0.0)
+    if kind == SKY:
+        rise = np.einsum("kd,jd->kj", normal, sources.polygon(s))
+        return np.einsum("kj->k", np.maximum(rise, 0.0)) / rise.shape[1]
     if kind == FLAT:
         factor = polygon_factor(position, normal, sources.polygon(s))
         if not sources.two_sided[s]:
@@ -160,7 +170,9 @@ def patch_irradiance(sources, caster, centroid, position, normal, a, b, occluded
     uneven = np.zeros(count, bool)
     for s in range(len(sources)):
         factor = unoccluded(sources, s, centroid, normal[:, 0])
-        differs = curved if sources.kind[s] == SUN else curved | (spread > NEAR * _distance(sources, s, centroid))
+        differs = (
+            curved if sources.kind[s] in (SUN, SKY) else curved | (spread > NEAR * _distance(sources, s, centroid))
+        )
         near = np.flatnonzero(differs)
         if len(near):
             each = unoccluded(sources, s, position[near].reshape(-1, 3), normal[near].reshape(-1, 3))
@@ -186,8 +198,9 @@ def test_rays(sources, s, caster, position, normal, geometric, start, a, b):
     start: (K, 3) float32, the position as the caster wants it; a, b: (K,) in [0, 1), the place on the source it goes to.
     A weight is proportional to what reaches the position from there; it is 0 below either horizon.
     """
-    if sources.kind[s] == SUN:
-        toward = _sun_directions(sources, s, a, b)
+    endless = sources.kind[s] in (SUN, SKY)
+    if endless:
+        toward = (_sun_directions if sources.kind[s] == SUN else _sky_directions)(sources, s, a, b)
         weight = dot(toward, normal)
     else:
         aim = _on_polygon(sources.polygon(s), a, b) if sources.kind[s] == FLAT else _on_disk(sources, s, position, a, b)
@@ -199,7 +212,7 @@ def test_rays(sources, s, caster, position, normal, geometric, start, a, b):
             weight /= np.maximum(square * square, 1e-300)
     weight = np.where(dot(toward, geometric) > 0, np.maximum(weight, 0.0), 0.0)
     cast = np.flatnonzero(weight)
-    if sources.kind[s] == SUN:
+    if endless:
         blocked = caster.blocked_toward(start[cast], toward[cast].astype(np.float32), a[cast])
     elif sources.kind[s] == FLAT:
         # Aim at a place just above the face, on the side that is seen: the face does not block itself.
@@ -300,6 +313,15 @@ def _sun_directions(sources, s, a, b):
     t1, t2 = tangents(axis)
     toward = axis + sources.radius[s] * (x[:, None] * t1 + y[:, None] * t2)
     return unit(toward)
+
+
+def _sky_directions(sources, s, a, b):
+    """(K, 3) unit vectors toward places spread evenly over a group of the sky's directions."""
+    group = sources.polygon(s)
+    number = np.minimum((a * len(group)).astype(np.int64), len(group) - 1)
+    x, y = _disk((a * len(group)) % 1.0, b)
+    t1, t2 = tangents(group[number])
+    return unit(group[number] + sources.radius[s] * (x[:, None] * t1 + y[:, None] * t2))
 
 
 def _on_disk(sources, s, position, a, b):

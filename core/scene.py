@@ -71,14 +71,16 @@ class Lamp:
 
 @dataclass(frozen=True)
 class World:
-    """Light from outside the scene. radiance: (3,) of every direction [W/(m^2 sr)]."""
+    """Light from outside the scene. radiance: (3,) of every direction [W/(m^2 sr)]; map: (K, K, 3) instead, of the cells of
+    an octahedral map (see `sky`), or None."""
 
     radiance: tuple = BLACK
+    map: np.ndarray | None = None
 
     @property
     def brightest(self):
         """The largest radiance in any direction and channel."""
-        return float(max(self.radiance))
+        return float(max(self.radiance) if self.map is None else np.nan_to_num(self.map).max(initial=0.0))
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from cell_radiosity.core.lights import make_sources
 from cell_radiosity.core.patches import make_patches
 from cell_radiosity.core.scene import Lamp, Material, Mesh, World, join_meshes
 from cell_radiosity.core.settings import Settings
+from cell_radiosity.core.sky import split_sky
 from cell_radiosity.core.surfaces import make_surfaces
 
 __all__ = ["Lamp", "Material", "Mesh", "Settings", "World", "bake", "join_meshes", "run"]
@@ -123,8 +124,8 @@ def solve_scene(scene, cells, edge=None, found=False, **settings):
     if found:
         sources, sampled = make_sources(join_meshes([], lamps=scene.lamps))[0], np.zeros_like(sampled)
     surfaces = make_surfaces(scene, patches, sampled)
-    cells.start(scene_arrays(scene, patches, sources))
-    sky = np.pi * np.asarray(scene.world.radiance, float)
+    sky = np.pi * split_sky(scene.world)[0].T
+    cells.start(scene_arrays(scene, patches, sources, sky.shape[1]))
     return Solved(scene, patches, surfaces, run(solve(patches, surfaces, sky, cells, settings)))
 
 
