@@ -347,9 +347,9 @@ def _bounded(scene, k, findings):
 
 def _clear(world, findings):
     """The world, black in channels that are negative or not finite."""
-    radiance = np.asarray(world.radiance, float)
+    radiance = np.asarray(world.radiance if world.map is None else world.map, float)
     good = np.where(np.isfinite(radiance), np.maximum(radiance, 0.0), 0.0)
     if np.array_equal(good, radiance):
         return world
     findings.append(Finding("world", "its light is negative or not a finite number", "0 was taken"))
-    return replace(world, radiance=tuple(map(float, good)))
+    return replace(world, radiance=tuple(map(float, good))) if world.map is None else replace(world, map=good)

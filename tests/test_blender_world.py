@@ -72,7 +72,7 @@ WORLDS = {
     "sky": sky,
     "sky without a sun": lambda: sky(disc=False),
     "image": image,
-    "image with a sun": lambda: image(sun=2e4),
+    "image with a sun": lambda: image(sun=4e3),
     "image with windows": lambda: image(windows=True),
     "light path": lit_apart_from_seen,
 }
@@ -86,7 +86,12 @@ def test_world_like_cycles(cells, name):
     ground = plane("floor", size=4.0, n=8, material=diffuse("f", (0.6, 0.6, 0.6)))
     cube("block", size=1.0, location=(0.3, 0.2, 1.1), material=diffuse("b", (0.7, 0.3, 0.2)))
     wall = plane(
-        "wall", size=4.0, n=6, location=(-2, 0, 2.3), rotation_euler=(0, np.pi / 2, 0), material=diffuse("w", (0.7,) * 3)
+        "wall",
+        size=4.0,
+        n=6,
+        location=(-2, 0, 2.3),
+        rotation_euler=(0, np.pi / 2, 0),
+        material=diffuse("w", (0.7,) * 3),
     )
     before = {kind: set(getattr(bpy.data, kind).keys()) for kind in ("worlds", "scenes", "meshes", "objects", "images")}
     bake_ours(cells, layers=("Direct", "Lighting"), error=0.005)
@@ -95,8 +100,8 @@ def test_world_like_cycles(cells, name):
         expected = bake_cycles(["floor", "wall"], 256, parts)
         for object in (ground, wall):
             exact, found = expected[object.name], colors(object.data, layer)
-            # Cycles' noise at 256 samples is 2 to 3 % at a corner.
-            assert np.sqrt(((found - exact) ** 2).mean()) < 0.06 * np.sqrt((exact**2).mean())
+            # Cycles' noise at 256 samples: 2 to 3 % at a corner, 5 % of what comes by way of a sunlit floor.
+            assert np.sqrt(((found - exact) ** 2).mean()) < (0.03 if layer == "Direct" else 0.09) * np.sqrt((exact**2).mean())
             np.testing.assert_allclose(found.mean(axis=0), exact.mean(axis=0), rtol=0.02, atol=0.01 * exact.mean())
 
 
