@@ -101,7 +101,9 @@ def test_world_like_cycles(cells, name):
         for object in (ground, wall):
             exact, found = expected[object.name], colors(object.data, layer)
             # Cycles' noise at 256 samples: 2 to 3 % at a corner, 5 % of what comes by way of a sunlit floor.
-            assert np.sqrt(((found - exact) ** 2).mean()) < (0.03 if layer == "Direct" else 0.09) * np.sqrt((exact**2).mean())
+            assert np.sqrt(((found - exact) ** 2).mean()) < (0.03 if layer == "Direct" else 0.09) * np.sqrt(
+                (exact**2).mean()
+            )
             np.testing.assert_allclose(found.mean(axis=0), exact.mean(axis=0), rtol=0.02, atol=0.01 * exact.mean())
 
 
