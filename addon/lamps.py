@@ -19,7 +19,27 @@ def read_lamp(light, matrix, name, ignored):
     if not power.any():
         return None
     common = dict(name=name, position=tuple(matrix[:3, 3]), axes=tuple(map(tuple, axes)))
+    if not getattr(light.cycles, "cast_shadow", True) or not getattr(light, "use_shadow", True):
+        ignored.append((name, "its shadows are switched off: it casts them all the same"))
     return KINDS[light.type](light, power, scale, common, ignored)
+
+
+def read_visibility(object, ignored):
+    """Whether a Blender object takes part in diffuse light; what of its ray visibility and light linking cannot be
+    simulated is added to `ignored`."""
+    name = object.name
+    linking = getattr(object, "light_linking", None)
+    if linking is not None and (linking.receiver_collection or linking.blocker_collection):
+        ignored.append((name, "its light linking: all objects get its light and stand in its way"))
+    if object.type == "LIGHT":
+        return object.visible_diffuse
+    hidden = [word for word in ("diffuse", "shadow") if not getattr(object, f"visible_{word}", True)]
+    if hidden == ["diffuse", "shadow"]:
+        ignored.append((name, "it is hidden from diffuse and shadow rays: it was left out of the bake"))
+        return False
+    if hidden:
+        ignored.append((name, f"it is hidden from {hidden[0]} rays only: it is taken as fully there"))
+    return True
 
 
 def _point(light, power, scale, common, ignored):
@@ -55,12 +75,9 @@ def _area(light, power, scale, common, ignored):
     if area <= 0:
         ignored.append((common["name"], "an area lamp without area gives no light"))
         return None
-    if light.spread < np.radians(179.5):
-        ignored.append(
-            (common["name"], f"the spread of {np.degrees(light.spread):.0f} degrees: it shines to all sides")
-        )
     radiance = power / np.pi if not getattr(light, "normalize", True) else power / (np.pi * area)
-    return Lamp("area", tuple(radiance), size=tuple(size), ellipse=ellipse, **common)
+    spread = max(light.spread, np.radians(1.0))
+    return Lamp("area", tuple(radiance), size=tuple(size), ellipse=ellipse, spread=spread, **common)
 
 
 KINDS = {"POINT": _point, "SPOT": _spot, "SUN": _sun, "AREA": _area}

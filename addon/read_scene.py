@@ -20,7 +20,7 @@ from ..core.health import Finding
 from ..core.scene import Mesh, join_meshes
 from ..core.surfaces import Texture
 from .cycles_read import CannotRead, Unread, read_with_cycles
-from .lamps import read_lamp
+from .lamps import read_lamp, read_visibility
 from .marks import is_made, originals_shown
 from .material_setup import passed_by
 from .materials import NotConstant, read_alpha, read_material, read_pixels, viewport_material
@@ -107,6 +107,8 @@ def _place(depsgraph, rendered, reader, wanted, lamps, placed, deadline):
         original = object.original
         source = instance.parent.original if instance.is_instance and instance.parent else original
         if original.hide_render or source.name not in rendered or is_made(original) or not instance.show_self:
+            continue
+        if object.type in SOLID | {"LIGHT"} and not read_visibility(original, reader.ignored):
             continue
         matrix = np.array(instance.matrix_world)
         if object.type == "LIGHT":

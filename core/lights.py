@@ -11,7 +11,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from .polygons import polygon_factor
-from .sampling import tangents
+from .sampling import lattice, tangents
 from .scene import newell_normals
 from .sky import split_sky
 from .vectors import cross, dot, length, ratio, unit
@@ -22,6 +22,9 @@ MOST_SOURCES = 32  # emitting faces beyond the strongest ones are found by the g
 MOST_MERGED = 4096  # emitting polygons beyond this number are not merged into flat sources
 NEAR = 0.08  # a patch is near a source if it reaches further than this share of the distance to it
 SHORT = 1 - 1e-5  # share of the way to a lamp that must be free: one that lies in a surface lights both of its sides
+PLACES = 144  # on a lamp of limited spread that its light is summed over
+FULL_SPREAD = 1.5697  # half angle beyond which a lamp shines in all directions alike [rad]
+DISK_PLACES = 32  # on a spot's disk that its cone is averaged over
 DISK_SIDES = 24  # of the polygon, equal in area, that stands for a disk or ellipse
 
 
@@ -32,7 +35,8 @@ class Sources:
     kind: (S,) int8. strength: (S, 3) exitance of a FLAT [W/m^2], intensity of a BALL [W/sr], irradiance of a surface
     that faces a SUN or SKY [W/m^2]. position: (S, 3) center. direction: (S, 3) unit, the way it shines (a FLAT's normal).
     two_sided: (S,) bool. radius: (S,) of a BALL [m], or sine of the half angle of a SUN, or of each direction of a SKY. soft: (S,) bool, a BALL is a
-    disk that faces the receiver. cone: (S, 2) cosine of a spot's half angle (-1: no cone) and its blend.
+    disk that faces the receiver. cone: (S, 2) cosine of a spot's half angle (-1: no cone) and its blend;
+    of a FLAT that does not shine in all directions alike the tangent of half its spread (-1: it does) and a factor.
     corner_start: (S + 1,) int32, corner: (C, 3) convex polygons of the FLAT ones, and unit vectors toward the directions
     of the SKY ones.
     """
@@ -63,6 +67,11 @@ class Sources:
         alone = {f.name: getattr(self, f.name)[s : s + 1] for f in fields(self)}
         corner = self.polygon(s)
         return Sources(**{**alone, "corner_start": np.array([0, len(corner)], np.int32), "corner": corner})
+
+    def area(self, s):
+        """Area of FLAT source s [m^2]."""
+        corners = self.polygon(s)
+        return float(length(cross(corners[1:-1] - corners[0], corners[2:] - corners[0]).sum(axis=0)) / 2)
 
     def polygon(self, s):
         """(V, 3) corners of FLAT source s."""
@@ -126,6 +135,8 @@ def unoccluded(sources, s, position, normal):
     if kind == SKY:
         rise = np.einsum("kd,jd->kj", normal, sources.polygon(s))
         return np.einsum("kj->k", np.maximum(rise, 0.0)) / rise.shape[1]
+    if kind == FLAT and sources.cone[s, 0] > 0:
+        return _narrow_factor(sources, s, position, normal)
     if kind == FLAT:
         factor = polygon_factor(position, normal, sources.polygon(s))
         if not sources.two_sided[s]:
@@ -144,11 +155,15 @@ def unoccluded(sources, s, position, normal):
         if cut.any():
             disk = _facing_disk(sources.position[s], toward[cut], radius)
             factor[cut] = polygon_factor(position[cut], normal[cut], disk) / radius**2
-    edge, blend = sources.cone[s]
-    if edge > -1:
-        rise = ratio(-dot(toward, sources.direction[s]), distance) - edge
-        ramp = np.clip(rise / max((1.0 - edge) * blend, 1e-12), 0.0, 1.0)
-        factor *= ramp * ramp * (3.0 - 2.0 * ramp)
+    if sources.cone[s, 0] > -1:
+        lit = np.flatnonzero(factor)
+        if radius > 0:  # each part of the disk shines by its own place in the cone
+            a, b = (np.tile(x, len(lit)) for x in lattice(DISK_PLACES))
+            place = np.repeat(position[lit], DISK_PLACES, axis=0)
+            each = _in_cone(sources, s, _on_disk(sources, s, place, a, b) - place)
+            factor[lit] *= np.einsum("kj->k", each.reshape(-1, DISK_PLACES)) / DISK_PLACES
+        else:
+            factor[lit] *= _in_cone(sources, s, toward[lit])
     return factor
 
 
@@ -207,9 +222,13 @@ def test_rays(sources, s, caster, position, normal, geometric, start, a, b):
         toward = aim - position
         # Equal parts of the source give cos cos' / r^2, with cos' = height / r on a flat one.
         weight = dot(toward, normal)
+        if sources.kind[s] == BALL and sources.radius[s] > 0 and sources.cone[s, 0] > -1:
+            weight = weight * _in_cone(sources, s, toward)
         if sources.kind[s] == FLAT:
             square = dot(toward, toward)
             weight /= np.maximum(square * square, 1e-300)
+            if sources.cone[s, 0] > 0:
+                weight = weight * _narrowed(sources, s, ratio(-dot(toward, sources.direction[s]), np.sqrt(square)))
     weight = np.where(dot(toward, geometric) > 0, np.maximum(weight, 0.0), 0.0)
     cast = np.flatnonzero(weight)
     if endless:
@@ -223,6 +242,37 @@ def test_rays(sources, s, caster, position, normal, geometric, start, a, b):
     seen = weight.copy()
     seen[cast[blocked]] = 0.0
     return weight, seen
+
+
+def _in_cone(sources, s, toward):
+    """(K,) share of a spot's light that goes opposite to `toward` (K, 3): a smooth step from the cone's rim inward."""
+    edge, blend = sources.cone[s]
+    rise = ratio(-dot(toward, sources.direction[s]), length(toward)) - edge
+    ramp = np.clip(rise / max((1.0 - edge) * blend, 1e-12), 0.0, 1.0)
+    return ramp * ramp * (3.0 - 2.0 * ramp)
+
+
+def _narrowed(sources, s, cosine):
+    """(...) radiance of a FLAT source of limited spread at angles to its axis, as a multiple of its mean (as in Cycles)."""
+    edge, factor = sources.cone[s]
+    tangent = ratio(np.sqrt(np.maximum(1.0 - cosine * cosine, 0.0)), cosine)
+    return np.where(cosine > 0, np.maximum(edge - tangent, 0.0) * factor, 0.0)
+
+
+def _narrow_factor(sources, s, position, normal):
+    """(K,) what `unoccluded` says of a FLAT source of limited spread: the sum over places all over it."""
+    aim, area = _on_polygon(sources.polygon(s), *lattice(PLACES)), sources.area(s) / PLACES
+    result = np.empty(len(position))
+    for first in range(0, len(position), 4096):
+        part = slice(first, first + 4096)
+        toward = aim - position[part, None]
+        square = dot(toward, toward)
+        distance = np.sqrt(square)
+        rise = np.maximum(ratio(dot(toward, np.broadcast_to(normal, position.shape)[part, None]), distance), 0.0)
+        tilt = np.maximum(ratio(-dot(toward, sources.direction[s]), distance), 0.0)
+        each = rise * tilt * area / (np.pi * square + area) * _narrowed(sources, s, tilt)
+        result[part] = np.einsum("kj->k", each)
+    return result
 
 
 def _distance(sources, s, position):
@@ -278,7 +328,11 @@ def _of_lamp(lamp):
         else:
             outline = 0.5 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
         corners = position + outline[:, :1] * lamp.size[0] * x + outline[:, 1:] * lamp.size[1] * y
-        return _source(FLAT, np.pi * np.asarray(lamp.strength), position, -z, corners=corners)
+        half = lamp.spread / 2
+        narrow = half < FULL_SPREAD and half > 0
+        edge = float(np.sin(half) / np.cos(half)) if narrow else -1.0
+        cone = (edge, 1.0 / (edge - half)) if narrow else (-1.0, 0.0)
+        return _source(FLAT, np.pi * np.asarray(lamp.strength), position, -z, corners=corners, cone=cone)
     raise ValueError(f"{lamp.name}: lamps of kind {lamp.kind!r} are not known")
 
 

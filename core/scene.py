@@ -54,6 +54,8 @@ class Lamp:
     radius: of a point or spot [m]. soft: Blender's soft falloff (the sphere is a disk that faces the receiver).
     angle: full angle of a sun's disk or of a spot's cone [rad]. blend: soft part of a spot's cone [0..1].
     size: (2,) of an area lamp along its x and y axes [m]. ellipse: an area lamp is an ellipse, not a rectangle.
+    spread: full angle that an area lamp shines into [rad]: its radiance falls with the tangent of the angle to its axis,
+        to 0 at half of this, at the same power; pi: it is the same in all directions.
     """
 
     kind: str
@@ -67,6 +69,7 @@ class Lamp:
     blend: float = 0.0
     size: tuple = (1.0, 1.0)
     ellipse: bool = False
+    spread: float = float(np.pi)
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 bpy = pytest.importorskip("bpy")
+from cell_radiosity.addon.read_scene import read_scene  # noqa: E402
+
 from blender_scenes import bake_cycles, bake_ours, colors, diffuse, empty, glowing, lamp, plane  # noqa: E402
 
 HEIGHT = 2.0
@@ -44,7 +46,23 @@ def test_lamp_overhead(cells, name):
     np.testing.assert_allclose(found, expected, rtol=2e-3 if settings["kind"] == "AREA" else 1e-4)
 
 
-@pytest.mark.parametrize("name", [*KINDS, "scaled area", "tilted sun", "wide sun", "spot rim", "exposure"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        *KINDS,
+        "scaled area",
+        "tilted sun",
+        "wide sun",
+        "spot rim",
+        "exposure",
+        "spread",
+        "narrow disk",
+        "hard spot",
+        "big spot",
+        "temperature",
+        "own units",
+    ],
+)
 def test_lamp_like_cycles(cells, name):
     """A plane under a lamp off its axis, half in the shadow of a smaller plane."""
     tilt = (0.5, 0.3, 0.2)
@@ -54,18 +72,27 @@ def test_lamp_like_cycles(cells, name):
         "wide sun": dict(kind="SUN", angle=0.5, rotation_euler=(0.6, 0.2, 0.4)),
         "spot rim": dict(kind="SPOT", spot_size=0.9, spot_blend=0.8, shadow_soft_size=0.1),
         "exposure": dict(kind="POINT", exposure=1.5, shadow_soft_size=0.1),
+        "spread": dict(kind="AREA", shape="RECTANGLE", size=0.6, size_y=0.3, spread=1.6),
+        "narrow disk": dict(kind="AREA", shape="DISK", size=0.8, spread=0.9),
+        "hard spot": dict(kind="SPOT", spot_size=1.0, spot_blend=0.0, shadow_soft_size=0.0, use_soft_falloff=False),
+        "big spot": dict(
+            kind="SPOT", spot_size=1.3, spot_blend=0.3, shadow_soft_size=0.4, rotation_euler=(0.3, 0.2, 0.0)
+        ),
+        "temperature": dict(kind="POINT", use_temperature=True, temperature=3000.0, shadow_soft_size=0.1),
+        "own units": dict(kind="AREA", shape="SQUARE", size=0.4, normalize=False, energy=20.0),
     }
     settings = {
         "rotation_euler": tilt,
         "location": (0.6, -0.9, 1.8),
         **(extra[name] if name in extra else KINDS[name][0]),
     }
-    if "exposure" in settings and not hasattr(bpy.types.Light, "exposure"):
-        pytest.skip("this Blender's lights have no exposure")
+    for field in {"exposure", "use_temperature", "normalize"} & settings.keys():
+        if field not in bpy.types.Light.bl_rna.properties:
+            pytest.skip(f"this Blender's lights have no {field}")
     empty()
     ground = plane(size=3.0, n=6, material=diffuse("white", (0.8, 0.8, 0.8)))
     plane("screen", size=0.7, n=1, location=(0.4, 0.5, 0.6))
-    lamp(energy=60.0 if settings["kind"] != "SUN" else 3.0, **settings)
+    lamp(**{"energy": 60.0 if settings["kind"] != "SUN" else 3.0, **settings})
     bake_ours(cells, layers=("Direct",), error=0.005)
     expected = bake_cycles(["plane"], 512, ["DIRECT"])["plane"]
     found = colors(ground.data, "Direct")
@@ -129,3 +156,27 @@ def test_box_without_a_bottom_is_black_inside(cells):
     assert inside.sum() > 50
     assert values[inside].max() == 0.0
     assert values[(np.abs(place[:, :2] - 0.1) > 1.2).any(axis=1)].min() > 0.1
+
+
+def test_ray_visibility_and_linking():
+    """What gives no light to diffuse surfaces gives none; what cannot be honored is named."""
+    empty()
+    plane(size=1.0, n=2)
+    gone = plane("gone", size=1.0, n=1, location=(0, 0, 1))
+    gone.visible_diffuse = gone.visible_shadow = False
+    half = plane("half", size=1.0, n=1, location=(0, 0, 3))
+    half.visible_shadow = False
+    lamp("POINT", location=(0, 0, 2)).visible_diffuse = False
+    linked = lamp("SPOT", location=(0, 0, 2))
+    linked.light_linking.receiver_collection = bpy.data.collections.new("some")
+    linked.data.use_shadow = False
+    bpy.context.view_layer.update()
+    scene, _ = read_scene(bpy.context)
+    assert set(scene.objects) == {"plane", "half"}
+    assert [x.kind for x in scene.lamps] == ["spot"]
+    said = dict(scene.ignored)
+    assert "shadow" in said["half"]
+    assert {r.split(":")[0] for o, r in scene.ignored if o == "SPOT"} == {
+        "its light linking",
+        "its shadows are switched off",
+    }
