@@ -9,9 +9,8 @@ from ..core.settings import EFFECTS, PRESETS
 from .job import Options
 
 LATER = {
-    "--time": "a time limit", "--mesh": "subdivision", "--per-object": "an error per object",
-    "--state": "state files", "--groups": "light groups", "--max-edge": "subdivision",
-    "--min-edge": "subdivision", "--contrast": "subdivision", "--vertices": "subdivision", "--in-place": "subdivision",
+    "--time": "a time limit", "--per-object": "an error per object", "--state": "state files",
+    "--groups": "light groups",
 }  # fmt: skip
 
 

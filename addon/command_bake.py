@@ -49,6 +49,13 @@ def add(commands):
         "--channel", type=channel, metavar="NAME:R", help="the first layer's brightness into this channel"
     )
     bake.add_argument("--export", metavar="OUT.glb", help="write glTF or USD too; a folder for several scenes")
+    bake.add_argument("--mesh", choices=("keep", "subdivide"), default="keep", help="finer where the light needs it")
+    finer = bake.add_argument_group("subdivision")
+    finer.add_argument("--max-edge", type=positive, metavar="M", help="longest edge left [m] (default: scene / 40)")
+    finer.add_argument("--min-edge", type=positive, metavar="M", help="shortest edge made [m] (default: that / 16)")
+    finer.add_argument("--contrast", type=positive, metavar="X", help="split what differs by more (default: 0.1)")
+    finer.add_argument("--vertices", type=whole, metavar="N", help="the most there may be (default: a million)")
+    finer.add_argument("--in-place", action="store_true", help="the objects themselves, not copies")
     maps = bake.add_argument_group("lightmaps")
     density = maps.add_mutually_exclusive_group()
     density.add_argument("--texels-per-meter", type=positive, default=16.0, metavar="N", help="density (default: 16)")
@@ -101,6 +108,8 @@ def _bake_file(path, arguments, cells, start_seconds, several):
     )
     report = place_for(arguments.report, source, ".json", several)
     picture = place_for(arguments.picture, source, ".png", several)
+    if arguments.target == "lightmap" and arguments.mesh == "subdivide":
+        raise Refused("--mesh subdivide is for vertex colors: a lightmap needs no finer mesh; leave out one of the two")
     export = place_for(arguments.export, source, ".glb", several)
     if export:
         kind_of(export)
@@ -129,6 +138,12 @@ def _bake_file(path, arguments, cells, start_seconds, several):
         strict=arguments.strict,
         output=output,
         target=arguments.target,
+        mesh=arguments.mesh,
+        max_edge=arguments.max_edge,
+        min_edge=arguments.min_edge,
+        contrast=arguments.contrast,
+        vertices=arguments.vertices,
+        in_place=arguments.in_place,
         bytes=arguments.bytes,
         exposure=("auto" if arguments.bytes else 0.0) if arguments.exposure is None else arguments.exposure,
         channel=arguments.channel,

@@ -34,6 +34,9 @@ class Options:
     bytes: 8-bit copies of the layers too, sRGB of the light times 2^exposure, "auto" for one that fits. channel:
     (attribute, "R", "G", "B" or "A") that takes the first layer's brightness.
 
+    mesh: "keep" or "subdivide"; then max_edge, min_edge [m], contrast and vertices as for the core's Fitting, None for what
+    suits the scene; in_place: the objects themselves instead of copies.
+
     Of lightmaps: texels_per_meter, or size of the images; uv: the map to use, None to unwrap; atlas: one for each
     "object" or for the "scene"; padding: texels between charts; image: "exr" or "png".
     """
@@ -54,6 +57,12 @@ class Options:
     force: tuple = ()
     output: str = ""
     target: str = "vertex"
+    mesh: str = "keep"
+    max_edge: float | None = None
+    min_edge: float | None = None
+    contrast: float | None = None
+    vertices: int | None = None
+    in_place: bool = False
     bytes: bool = False
     exposure: float | str = 0.0
     channel: tuple | None = None

@@ -6,6 +6,8 @@ the light (`compute`), both without touching Blender, and puts them into the fil
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import bpy
 import numpy as np
 
@@ -15,11 +17,12 @@ from ..core.layers import layer_colors, luminance, texel_colors
 from ..core.lightmap import find_seams, look_up, make_images, make_texels
 from ..core.raycast import RayCaster
 from ..core.remesh import triangulated
+from ..core.subdivide import Fitting, fit_mesh
 from .errors import Refused
 from .images import image_path, make_image
-from .remesh import carry_groups, make_mesh, piece_of
+from .remesh import carry_groups, groups_of, make_mesh, piece_of
 from .shown import forget_unused, show
-from .write_result import check_names, copy_with, result_copy, source_mesh, srgb, writing_result
+from .write_result import check_names, copy_with, result_copy, source_mesh, srgb, write_layers, writing_result
 
 UV_MAP = "Lightmap"
 EXPOSURE = "cell_radiosity_exposure"  # property of a mesh or image: the light was multiplied by 2 to this
@@ -87,6 +90,64 @@ class VertexColors:
         return findings
 
 
+class FinerColors(VertexColors):
+    """Colors of copies of the meshes, or of the meshes themselves, made finer where the light needs it."""
+
+    def __init__(self, options):
+        super().__init__(options)
+        self.place = self._place
+
+    def _place(self, scene, flipped, cells, light):
+        o = self.options
+        fitting = Fitting.for_scene(scene, o.max_edge, o.min_edge, o.contrast, o.vertices)
+        finer, points, self.remesh = yield from fit_mesh(scene, fitting, flipped, cells, light)
+        self._coarse = scene
+        return finer, points
+
+    def writing(self, context, targets):
+        """Write, in steps; returns Findings."""
+        findings, fits = [], []
+        for target in targets:
+            yield
+            with source_mesh(context, target) as source:
+                if isinstance(source, Finding):
+                    findings.append(source)
+                    continue
+                piece = piece_of(self._coarse, self.remesh, target)
+                mesh = make_mesh(source, source.name, piece)
+                object = context.scene.objects[target.object]
+                groups = groups_of(object)
+                if self.options.in_place:
+                    findings += self._replace_mesh(object, mesh)
+                    holder = object
+                else:
+                    holder = copy_with(context.scene, target.object, mesh)
+                carry_groups(holder, groups, source, piece)
+            fits.append(replace(target, object=holder.name, first=0, last=len(piece.index), corner=piece.index))
+        for fit in fits:
+            yield
+            self._write(context, fit)
+        return tuple(findings)
+
+    def _replace_mesh(self, object, mesh):
+        """Give an object another mesh; returns a Finding if its modifiers are in it now."""
+        name, object.data = object.data.name, mesh
+        mesh.name = name
+        if not len(object.modifiers):
+            return []
+        object.modifiers.clear()
+        return [Finding(object.name, "it had modifiers", "they were applied: its mesh is finer than they know")]
+
+    def _write(self, context, fit):
+        """Write the layers of one finer mesh."""
+        mesh = bpy.data.objects[fit.object].data
+        colors = {layer: values[fit.corner] for layer, values in self.colors.items()}
+        channel = self.channel and (*self.channel[:2], self.channel[2][fit.corner])
+        write_layers(mesh, colors, self.options.domain, self.encoded, channel)
+        if self.options.bytes:
+            mesh[EXPOSURE] = self.exposure
+
+
 class Lightmaps:
     """Images, and copies of the objects whose materials show them."""
 
@@ -119,8 +180,9 @@ class Lightmaps:
         layer.uv.foreach_get("vector", uv)
         self._uv[target.first : target.last] = uv.reshape(-1, 2)[target.corner]
 
-    def place(self, scene, flipped, cells):
-        """The texels of the scene's written objects."""
+    def place(self, scene, flipped, cells, light):
+        """The texels of the scene's written objects, as `bake` asks for them."""
+        yield from ()  # nothing to wait for
         o = self.options
         layout = dict(density=o.texels_per_meter, size=o.size, together=o.atlas == "scene")
         try:
@@ -131,7 +193,7 @@ class Lightmaps:
         except (NoUnwrapper, ValueError) as problem:
             raise Refused(str(problem)) from None
         self._flipped = flipped
-        return make_texels(scene, self.atlas, flipped, cells)
+        return scene, make_texels(scene, self.atlas, flipped, cells)
 
     def compute(self, result):
         """Make the images of a Bake."""
@@ -215,7 +277,7 @@ class Lightmaps:
             return copy_with(scene, target.object, source.copy())
         piece = piece_of(self.scene, remesh, target)
         copy = copy_with(scene, target.object, make_mesh(source, source.name, piece))
-        carry_groups(copy, scene.objects[target.object], source, piece)
+        carry_groups(copy, groups_of(scene.objects[target.object]), source, piece)
         uv = np.zeros((len(self.scene.triangles), 3, 2))
         uv[self.atlas.triangle] = self.atlas.uv
         uv = uv[np.argsort(self.scene.triangle_polygon, kind="stable")].reshape(-1, 2)[piece.index]
@@ -242,4 +304,6 @@ def exposure_of(options, colors):
 
 def make_output(options):
     """The output that options ask for."""
-    return Lightmaps(options) if options.target == "lightmap" else VertexColors(options)
+    if options.target == "lightmap":
+        return Lightmaps(options)
+    return FinerColors(options) if options.mesh == "subdivide" else VertexColors(options)

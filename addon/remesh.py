@@ -96,15 +96,20 @@ def make_mesh(source, name, piece):
     return mesh
 
 
-def carry_groups(object, source_object, source, piece):
-    """Give an object, whose mesh is `make_mesh`'s, the vertex groups of the object it is made of."""
-    if not source_object.vertex_groups:
+def groups_of(object):
+    """The vertex groups of an object as (name, locked) pairs, which `carry_groups` takes."""
+    return [(group.name, group.lock_weight) for group in object.vertex_groups]
+
+
+def carry_groups(object, groups, source, piece):
+    """Give an object, whose mesh is `make_mesh`'s, the vertex groups of the object it is made of. source: its mesh."""
+    if not groups:
         return
     first = piece.first_corner
     vertex = _values(source, ".corner_vert", "CORNER")[piece.corner]
     object.vertex_groups.clear()
-    for group in source_object.vertex_groups:
-        object.vertex_groups.new(name=group.name).lock_weight = group.lock_weight
+    for name, locked in groups:
+        object.vertex_groups.new(name=name).lock_weight = locked
     given = [{g.group: g.weight for g in v.groups} for v in source.vertices]
     made = bmesh.new()
     made.from_mesh(object.data)

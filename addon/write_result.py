@@ -48,16 +48,21 @@ def writing_result(context, colors, targets, domain, encoded=(), channel=None):
         if isinstance(mesh, Finding):
             findings.append(mesh)
             continue
-        for layer, values in colors.items():
-            kind = "BYTE_COLOR" if layer in encoded else "FLOAT_COLOR"
-            _write_layer(mesh, layer, domain, _of_target(target, values), kind)
-        mark_layers(mesh, colors)
-        if channel:
-            _write_channel(mesh, *channel[:2], _of_target(target, channel[2]))
-        if colors:
-            mesh.color_attributes.active_color = mesh.color_attributes[next(iter(colors))]
-        mesh.update()
+        own = {layer: _of_target(target, values) for layer, values in colors.items()}
+        filled = channel and (*channel[:2], _of_target(target, channel[2]))
+        write_layers(mesh, own, domain, encoded, filled)
     return tuple(findings)
+
+
+def write_layers(mesh, colors, domain, encoded=(), channel=None):
+    """Write layers {name: (K, 3) color of every corner of the mesh}; the others as for `writing_result`."""
+    for layer, values in colors.items():
+        _write_layer(mesh, layer, domain, values, "BYTE_COLOR" if layer in encoded else "FLOAT_COLOR")
+    mark_layers(mesh, colors)
+    if channel:
+        _write_channel(mesh, *channel)
+    mesh.color_attributes.active_color = mesh.color_attributes[next(iter(colors))]
+    mesh.update()
 
 
 def result_copy(scene, name):

@@ -26,6 +26,8 @@ from .settings import Settings
 from .sky import split_sky
 from .surfaces import make_surfaces
 
+ROUGH_RAYS = 32  # of a point, to tell where a mesh must be finer
+
 
 @dataclass(frozen=True)
 class Progress:
@@ -63,7 +65,8 @@ class Bake:
 
 def bake(scene, settings, cells, place=None):
     """Bake a scene: a generator that yields Progress and returns the Bake. cells: any `Cells`; they are left running.
-    place: function of (scene, flipped, cells) that gives the Points; None: the scene's corners."""
+    place: generator function of (scene, flipped, cells, light) that returns the Scene to write and its Points, None for
+    the scene's corners; light: generator function of Points, that returns (P,) what they get, roughly."""
     try:
         return (yield from _bake(scene, settings, cells, place))
     finally:
@@ -102,8 +105,16 @@ def _bake(scene, settings, cells, place):
     clock.lap("transport")
 
     flipped = _flipped(scene, patches, solution, settings.side)
+    written = scene
     if place:
-        points = place(scene, flipped, cells)
+
+        def rough_light(points):
+            rough = replace(settings, gather_rays=min(ROUGH_RAYS, settings.gather_rays))
+            light = gather(points, solution, surfaces, sky, scene.diagonal, cells, rough)
+            light = yield from _each(light, lambda done: _of_points(*done, clock))
+            return (light.direct + light.indirect).mean(axis=0)
+
+        written, points = yield from place(scene, flipped, cells, rough_light)
     else:
         points = make_points(scene, flipped, cells if found.needs("occlusion") else None)
     gathering = gather(points, solution, surfaces, sky, scene.diagonal, cells, settings)
@@ -113,7 +124,7 @@ def _bake(scene, settings, cells, place):
     thin = tuple(thin_findings(scene, points))
     after = found.after(scene, patches, solution, settings.error, cells.note, thin)
     return Bake(
-        scene, settings, after, patches, points, solution, light,
+        written, settings, after, patches, points, solution, light,
         seconds=clock.seconds(), rays=clock.rays(), cells=clock.cells(),
     )  # fmt: skip
 

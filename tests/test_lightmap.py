@@ -28,7 +28,12 @@ def round_ball(place=(0, 0, 0), radius=0.4, splits=3):
 
 def bake_map(scene, atlas, cells, **settings):
     """The Bake of a scene at the texels of an atlas, which are its points."""
-    return run(bake(scene, Settings(**settings), cells, lambda s, flipped, c: make_texels(s, atlas, flipped, c)))
+
+    def place(scene, flipped, cells, light):
+        yield from ()
+        return scene, make_texels(scene, atlas, flipped, cells)
+
+    return run(bake(scene, Settings(**settings), cells, place))
 
 
 def seams_of(scene, atlas):
