@@ -15,7 +15,8 @@ import numpy as np
 
 ROOT = Path(__file__).parent.parent
 PLACE = ROOT / "build" / "versions"
-BLENDERS = {"4.2.23": "3.11", "4.5.15": "3.11", "5.2.3": "3.13"}  # the Python of each
+# The Python of each, and the numpy that it comes with in Blender itself.
+BLENDERS = {"4.2.23": ("3.11", "1.24.3"), "4.5.15": ("3.11", "1.26.4"), "5.2.3": ("3.13", "2.3.4")}
 TESTS = ("test_blender_*.py", "test_command.py", "test_panels.py", "test_steps.py")
 
 # The module of Blender 4.2 crashes at its very end if a property with a callback was registered, whosever it is.
@@ -52,17 +53,17 @@ def find_python(version):
 
 def environment(version):
     """The Python of an environment with a Blender module and this package, or None if no Python fits."""
-    folder = PLACE / version
+    folder, (wanted, numpy) = PLACE / version, BLENDERS[version]
     made = folder / "bin" / "python"
     if not (folder / ".ready").exists():
-        python = find_python(BLENDERS[version])
+        python = find_python(wanted)
         if python is None:
             return None
         print(f"{version}: installing (some 400 MB) ...", flush=True)
         shutil.rmtree(folder, ignore_errors=True)
         subprocess.run([python, "-m", "venv", folder], check=True)
         pip = [made, "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
-        subprocess.run([*pip, f"bpy=={version}", "--editable", f"{ROOT}[test]"], check=True)
+        subprocess.run([*pip, f"bpy=={version}", f"numpy=={numpy}", "--editable", f"{ROOT}[test]"], check=True)
         (folder / ".ready").touch()
     return made
 
@@ -74,7 +75,7 @@ def main():
     for version in wanted:
         python = environment(version)
         if python is None:
-            print(f"{version}: left out, there is no Python {BLENDERS[version]}", flush=True)
+            print(f"{version}: left out, there is no Python {BLENDERS[version][0]}", flush=True)
             continue
         code = "import bpy, numpy; print(bpy.app.version_string, 'with numpy', numpy.__version__)"
         print(
