@@ -229,7 +229,7 @@ class RADIOSITY_OT_bake(_Work, bpy.types.Operator):
                     break
                 yield
             show_in_views(context, force=next_light == 0)
-            next_light = perf_counter() + max(REFRESH, SHARE * spent)
+            next_light = perf_counter() + max(REFRESH, SHARE * max(spent, running.cost))
 
     def _paint(self, context, preview):
         """Show the light so far, object by object."""
@@ -251,10 +251,13 @@ class RADIOSITY_OT_bake(_Work, bpy.types.Operator):
         result.clear()
         result.note_survey(job.result.survey, job.changed)
         result.points, result.seconds, result.partial = len(job.result.points), job.seconds(), partial
+        result.note_estimate(job.result)
         if partial:
             text = tr("Bake ended early: the light so far was kept")
         else:
             text = tr("Baked {} points in {} s", result.points, f"{result.seconds:.1f}")
+        if result.error >= 0:
+            text += ", " + tr("error {} %", f"{100 * result.error:.2g}")
         count = len(result.health)
         if count:
             self.report({"WARNING"}, text + ". " + tr("{} findings: see Health in the panel", count))

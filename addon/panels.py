@@ -68,10 +68,10 @@ def _draw_running(layout, running):
     if progress is not None:
         figures = column.column(align=True)
         figures.label(text=tr("{} s so far, {} million rays", f"{progress.seconds:.1f}", f"{progress.rays / 1e6:.1f}"))
-        if progress.bound is not None:
-            figures.label(text=tr("Light still missing: at most {} %", f"{100 * progress.bound:.2g}"))
-        if progress.error is not None:
-            figures.label(text=tr("Error so far: {} %", f"{100 * progress.error:.2g}"))
+        if running.bound is not None:
+            figures.label(text=tr("Light still missing: at most {} %", f"{100 * running.bound:.2g}"))
+        if running.light_error is not None:
+            figures.label(text=tr("Error so far: {} %", f"{100 * running.light_error:.2g}"))
         if progress.left is not None:
             figures.label(text=tr("About {} s left", f"{progress.left:.0f}"))
     if running.waiting:
@@ -126,6 +126,8 @@ def _draw_result(layout, settings):
     box.label(text=text, icon="ERROR" if result.partial else "CHECKMARK")
     if result.partial:
         box.label(text=tr("Cancelled: this is the light so far"))
+    elif result.error >= 0 and not result.converged:
+        _paragraph(box, tr("{} % was asked for and could not be reached", f"{100 * result.asked:.2g}"), "INFO")
     if result.worst:
         box.label(text=tr("Least exact: {}, {} %", result.worst, f"{100 * result.worst_error:.2g}"))
 

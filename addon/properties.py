@@ -68,6 +68,8 @@ class RADIOSITY_PG_result(bpy.types.PropertyGroup):
     points: IntProperty(default=-1)
     seconds: FloatProperty(default=-1.0)
     error: FloatProperty(default=-1.0)
+    asked: FloatProperty(default=-1.0)
+    converged: BoolProperty()
     worst: StringProperty()
     worst_error: FloatProperty(default=-1.0)
     partial: BoolProperty()
@@ -77,10 +79,19 @@ class RADIOSITY_PG_result(bpy.types.PropertyGroup):
 
     def clear(self):
         """Forget the bake."""
-        for name in ("points", "seconds", "error", "worst", "worst_error", "partial"):
+        for name in ("points", "seconds", "error", "asked", "converged", "worst", "worst_error", "partial"):
             self.property_unset(name)
         for found in (self.effects, self.health, self.ignored):
             found.clear()
+
+    def note_estimate(self, bake):
+        """Keep what is known of a Bake's error."""
+        if bake.estimate is None:
+            return
+        self.error, self.asked, self.converged = bake.estimate.total, bake.settings.error, bake.converged
+        worst = bake.estimate.worst()
+        if worst:
+            self.worst, self.worst_error = bake.scene.objects[worst[0]], worst[1]
 
     def note_survey(self, survey, changed=()):
         """Keep the effects and findings of a Survey, and further findings."""

@@ -158,7 +158,7 @@ def _edge_sources(mesh, source, vertex, weight):
     """The source's edge along which each edge of a new mesh lies, -1 for none: (E, 1), with weights of 1."""
     # The one or two old vertices between which each new one lies; those inside a triangle have three, and no edge.
     used = weight > 0
-    low = np.where(used, vertex, np.iinfo(np.int64).max).min(axis=1)
+    low = np.where(used, vertex, np.iinfo(vertex.dtype).max).min(axis=1)
     high = np.where(used, vertex, -1).max(axis=1)
     inside = (used & (vertex != low[:, None]) & (vertex != high[:, None])).any(axis=1)
     ends = np.empty(2 * len(mesh.edges), np.int32)

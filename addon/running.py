@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import threading
+from time import perf_counter
 
 from .translations import tr
 
 PHASES = {
     "survey": "Surveying", "patches": "Cutting patches", "transport": "Light between patches",
-    "gather": "Light at the points",
+    "gather": "Light at the points", "error": "Looking at the error",
 }  # fmt: skip
 
 
@@ -16,14 +17,15 @@ class Running:
     """The work of a Job in a thread of its own: numpy and pipes alone. work: function of the job, a generator of Progress.
 
     phase: what the window is at ("read", "work", "write"). waiting: what it waits for, or "". progress: the last
-    Progress, or None. error: what the work has failed with, or None. brought: it has brought something to write;
-    partial: it was ended early, with the light that was there.
+    Progress, or None. bound, light_error: the last that are known of the light, or None. error: what the work has failed with, or None. brought: it has brought something to write;
+    partial: it was ended early, with the light that was there. cost: seconds that the last look at the light took.
     """
 
     def __init__(self, job, work):
         self.job, self.phase, self.waiting = job, "read", ""
         self._work = work
-        self.progress = self.error = None
+        self.progress = self.bound = self.light_error = self.error = None
+        self.cost = 0.0
         self.brought = self.partial = False
         self._cancelled, self._dropped, self._wanted = (threading.Event() for _ in range(3))
         self._shown = None
@@ -75,9 +77,9 @@ class Running:
                 except StopIteration:
                     self.brought = True
                     return
-                if self._wanted.is_set() and (bake := self.job.so_far(self.progress)):
-                    self._wanted.clear()
-                    self._shown = self.job.output.preview(bake)
+                self._note(self.progress)
+                if self._wanted.is_set() and self.progress.take:
+                    self._look()
             bake = None if self._dropped.is_set() else self.job.so_far(self.progress)
             if bake:
                 self.job.keep(bake)
@@ -85,6 +87,20 @@ class Running:
             work.close()
         except Exception as error:
             self.error = error
+
+    def _note(self, progress):
+        """Keep what is known of the light: not every Progress tells it."""
+        self.bound = self.bound if progress.bound is None else progress.bound
+        self.light_error = self.light_error if progress.error is None else progress.error
+
+    def _look(self):
+        """Bring the light that was asked for."""
+        begun = perf_counter()
+        bake = self.job.so_far(self.progress)
+        if bake:
+            self._wanted.clear()
+            self._shown = self.job.output.preview(bake)
+        self.cost = perf_counter() - begun
 
 
 def phase_text(running):
