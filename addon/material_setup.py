@@ -50,6 +50,11 @@ def with_set_up():
     return [m for m in bpy.data.materials if m.library is None and _groups(m.node_tree)]
 
 
+def any_set_up():
+    """Whether any material may have a group; quick enough for a panel."""
+    return any(is_made(tree) and tree.users for tree in bpy.data.node_groups)
+
+
 @contextlib.contextmanager
 def passed_by():
     """While a scene is read, let the materials be what they are without their groups."""

@@ -252,6 +252,7 @@ class RADIOSITY_OT_bake(_Work, bpy.types.Operator):
         result.note_survey(job.result.survey, job.changed)
         result.points, result.seconds, result.partial = len(job.result.points), job.seconds(), partial
         result.note_estimate(job.result)
+        result.layers = "" if lightmaps else ",".join(job.options.layers)
         if partial:
             text = tr("Bake ended early: the light so far was kept")
         else:

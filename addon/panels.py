@@ -7,13 +7,13 @@ import textwrap
 import bpy
 
 from .job import default_cells
-from .material_setup import with_set_up
+from .material_setup import any_set_up
 from .preferences import preference
 from .preflight import preflight
 from .running import phase_text
 from .session import Session
 from .translations import CONTEXT, tr, tr_message
-from .viewport import baked_meshes, has_result, layers_of
+from .viewport import has_result, layer_names
 
 LETTER = 6.2  # pixels of a letter at a resolution scale of 1, about
 SHOWN = 12  # findings that a list shows; of the rest only the number is told
@@ -147,7 +147,7 @@ class RADIOSITY_PT_view(_Panel, bpy.types.Panel):
         settings, layout = context.scene.radiosity, self.layout
         layout.use_property_split = True
         layout.use_property_decorate = False
-        names = list(dict.fromkeys(name for mesh in baked_meshes(context.scene) for name in layers_of(mesh)))
+        names = settings.result.layers.split(",") if settings.result.layers else layer_names(context.scene)
         if names:
             flow = layout.grid_flow(columns=2, align=True)
             for name in names:
@@ -159,7 +159,7 @@ class RADIOSITY_PT_view(_Panel, bpy.types.Panel):
             kinds = ("EMISSION", "Show as Emission", "MATERIAL"), ("BASE_COLOR", "Use as Base Color", "SHADING_TEXTURE")
             for kind, text, icon in kinds:
                 column.operator("radiosity.set_up_materials", text=tr(text), icon=icon).kind = kind
-            if with_set_up():
+            if any_set_up():
                 column.operator("radiosity.take_out_of_materials", icon="LOOP_BACK")
         layout.operator("radiosity.clear", icon="TRASH")
 

@@ -42,7 +42,8 @@ def preflight(context, options):
 
 
 def _look(context, options):
-    scene, depsgraph = context.scene, context.evaluated_depsgraph_get()
+    # While a panel is drawn nothing may be evaluated: what the view layer has is taken.
+    scene, depsgraph = context.scene, context.view_layer.depsgraph or context.evaluated_depsgraph_get()
     rendered = rendered_names(scene)
     users = Counter(o.data for o in scene.objects if o.type == "MESH")
     wanted = wanted_by(options.objects)

@@ -70,6 +70,7 @@ class RADIOSITY_PG_result(bpy.types.PropertyGroup):
     error: FloatProperty(default=-1.0)
     asked: FloatProperty(default=-1.0)
     converged: BoolProperty()
+    layers: StringProperty()
     worst: StringProperty()
     worst_error: FloatProperty(default=-1.0)
     partial: BoolProperty()
@@ -79,7 +80,7 @@ class RADIOSITY_PG_result(bpy.types.PropertyGroup):
 
     def clear(self):
         """Forget the bake."""
-        for name in ("points", "seconds", "error", "asked", "converged", "worst", "worst_error", "partial"):
+        for name in ("points", "seconds", "error", "asked", "converged", "layers", "worst", "worst_error", "partial"):
             self.property_unset(name)
         for found in (self.effects, self.health, self.ignored):
             found.clear()

@@ -27,6 +27,11 @@ def layers_of(mesh):
     return [name for name in LAYERS if name in made] + sorted(made - set(LAYERS) - {VIEW})
 
 
+def layer_names(scene):
+    """Names of the layers that a scene's meshes hold."""
+    return list(dict.fromkeys(name for mesh in baked_meshes(scene) for name in layers_of(mesh)))
+
+
 def has_result(scene):
     """Whether a bake has left anything in a scene."""
     return any(is_made(o) or (o.type == "MESH" and layers_of(o.data)) for o in scene.objects)
