@@ -1,0 +1,52 @@
+"""Take the README's pictures of the extension in Blender's window: before, during and after a bake of the hall.
+
+BLENDER in the environment names the program; the zip is in dist/. Needs Xvfb, xdotool and import, as the window's tests do.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from PIL import Image
+
+ROOT = Path(__file__).parent.parent
+sys.path.insert(0, str(ROOT / "tests"))
+
+from real_blender import EXTENSION, PROGRAM, RealBlender  # noqa: E402
+from window import Window  # noqa: E402
+
+COLORS = 160  # of a picture's palette
+SESSION = f"__import__('sys').modules['{EXTENSION}.addon.session'].Session"
+
+
+def keep(window, name):
+    """Take a picture and keep it small."""
+    picture = Image.fromarray(window.picture())
+    picture.quantize(COLORS, dither=Image.Dither.NONE).save(ROOT / "docs" / f"window_{name}.png", optimize=True)
+
+
+def main():
+    with tempfile.TemporaryDirectory(prefix="radiosity-") as folder:
+        blender = RealBlender(Path(folder))
+        window = Window(PROGRAM, folder, blender.environment)
+        try:
+            window.open(ROOT / "sample_scenes" / "hall.blend")
+            window.ask("bpy.context.scene.radiosity.preset = 'good'")
+            time.sleep(1)
+            keep(window, "before")
+            window.click(*window.find_button())
+            window.until(f"{SESSION}.running is not None")
+            window.until(f"{SESSION}.running is None or {SESSION}.running.light_error is not None", wait=300)
+            keep(window, "during")
+            window.until(f"{SESSION}.running is None", wait=300)
+            time.sleep(8)  # until the report in the status bar has gone
+            keep(window, "after")
+        finally:
+            window.close()
+
+
+if __name__ == "__main__":
+    main()
