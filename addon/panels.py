@@ -61,25 +61,26 @@ class RADIOSITY_PT_main(_Panel, bpy.types.Panel):
 
 
 def _draw_running(layout, running):
-    """The bar, how far the light is, and Cancel."""
+    """The bar and Cancel, which keep their places, and how far the light is."""
     progress = running.progress
     column = layout.column()
     column.progress(factor=min(max(progress.done, 0.0), 1.0) if progress else 0.0, text=phase_text(running))
-    if progress is not None:
-        figures = column.column(align=True)
-        figures.label(text=tr("{} s so far, {} million rays", f"{progress.seconds:.1f}", f"{progress.rays / 1e6:.1f}"))
-        if running.bound is not None:
-            figures.label(text=tr("Light still missing: at most {} %", f"{100 * running.bound:.2g}"))
-        if running.light_error is not None:
-            figures.label(text=tr("Error so far: {} %", f"{100 * running.light_error:.2g}"))
-        if progress.left is not None:
-            figures.label(text=tr("About {} s left", f"{progress.left:.0f}"))
-    if running.waiting:
-        _paragraph(layout, tr(running.waiting), "INFO")
-    row = layout.row()
+    row = column.row()
     row.scale_y = 1.4
     row.enabled = not running.cancelled
     row.operator("radiosity.cancel", text=tr("Cancel"), icon="CANCEL")
+    if running.waiting:
+        _paragraph(layout, tr(running.waiting), "INFO")
+    if progress is None:
+        return
+    figures = column.column(align=True)
+    figures.label(text=tr("{} s so far, {} million rays", f"{progress.seconds:.1f}", f"{progress.rays / 1e6:.1f}"))
+    if running.light_error is not None:
+        figures.label(text=tr("Error so far: {} %", f"{100 * running.light_error:.2g}"))
+    if running.bound is not None:
+        figures.label(text=tr("Light still missing: at most {} %", f"{100 * running.bound:.2g}"))
+    if progress.left is not None:
+        figures.label(text=tr("About {} s left", f"{progress.left:.0f}"))
 
 
 def _draw_preflight(layout, context, settings):
