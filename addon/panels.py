@@ -16,6 +16,7 @@ from .translations import CONTEXT, tr, tr_message
 from .viewport import has_result, layer_names
 
 LETTER = 6.2  # pixels of a letter at a resolution scale of 1, about
+GOALS = (0.05, 0.02, 0.01, 0.005, 0.002, 0.001)  # errors that are offered next
 SHOWN = 12  # findings that a list shows; of the rest only the number is told
 
 
@@ -131,6 +132,15 @@ def _draw_result(layout, settings):
         _paragraph(box, tr("{} % was asked for and could not be reached", f"{100 * result.asked:.2g}"), "INFO")
     if result.worst:
         box.label(text=tr("Least exact: {}, {} %", result.worst, f"{100 * result.worst_error:.2g}"))
+    goal = next((error for error in GOALS if error < 0.7 * result.error), None)
+    if goal is not None:
+        price = next((p.seconds for p in settings.prices if abs(p.error - goal) < 1e-6), None)
+        text = (
+            tr("To reach {} %: about {} s", f"{100 * goal:g}", _seconds(price))
+            if price
+            else tr("To reach {} %", f"{100 * goal:g}")
+        )
+        box.operator("radiosity.bake", text=text).error = 100 * goal
 
 
 class RADIOSITY_PT_view(_Panel, bpy.types.Panel):

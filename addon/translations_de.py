@@ -26,6 +26,8 @@ GERMAN = {
     "Error {} %, in {} s": "Fehler {} %, in {} s",
     "Baked in {} s": "In {} s gebacken",
     "Cancelled: this is the light so far": "Abgebrochen: das ist das Licht bis dahin",
+    "To reach {} %": "Bis {} %",
+    "To reach {} %: about {} s": "Bis {} %: etwa {} s",
     "Least exact: {}, {} %": "Am ungenauesten: {}, {} %",
     "Show as Emission": "Als Emission zeigen",
     "Use as Base Color": "Als Grundfarbe nehmen",

@@ -18,14 +18,18 @@ sys.path.insert(0, str(ROOT / "tests"))
 from real_blender import EXTENSION, PROGRAM, RealBlender  # noqa: E402
 from window import Window  # noqa: E402
 
-COLORS = 160  # of a picture's palette
+COLORS = 256  # of a picture's palette
+VIEW = (0, 28, 1058, 800)  # what is kept of the screen: the 3D view with the panel, and the status bar
 SESSION = f"__import__('sys').modules['{EXTENSION}.addon.session'].Session"
 
 
 def keep(window, name):
     """Take a picture and keep it small."""
-    picture = Image.fromarray(window.picture())
-    picture.quantize(COLORS, dither=Image.Dither.NONE).save(ROOT / "docs" / f"window_{name}.png", optimize=True)
+    picture = Image.fromarray(window.picture()).crop(VIEW)
+    palette = picture.quantize(COLORS)
+    picture.quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG).save(
+        ROOT / "docs" / f"window_{name}.png", optimize=True
+    )
 
 
 def main():
@@ -34,12 +38,13 @@ def main():
         window = Window(PROGRAM, folder, blender.environment)
         try:
             window.open(ROOT / "sample_scenes" / "hall.blend")
-            window.ask("bpy.context.scene.radiosity.preset = 'good'")
+            window.ask("bpy.context.scene.radiosity.preset = 'fine'; [a.tag_redraw() for a in window.screen.areas]")
             time.sleep(1)
             keep(window, "before")
             window.click(*window.find_button())
             window.until(f"{SESSION}.running is not None")
             window.until(f"{SESSION}.running is None or {SESSION}.running.light_error is not None", wait=300)
+            time.sleep(1)
             keep(window, "during")
             window.until(f"{SESSION}.running is None", wait=300)
             time.sleep(8)  # until the report in the status bar has gone
