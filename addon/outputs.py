@@ -104,6 +104,9 @@ class FinerColors(VertexColors):
         self._coarse = scene
         return finer, points
 
+    def preview(self, bake):
+        """None: the finer meshes are shown when they are complete."""
+
     def writing(self, context, targets):
         """Write, in steps; returns Findings."""
         findings, fits = [], []

@@ -49,6 +49,7 @@ class RADIOSITY_PT_main(_Panel, bpy.types.Panel):
         column.prop(settings, "target")
         if settings.target == "vertex":
             column.prop(settings, "domain")
+            column.prop(settings, "mesh")
         else:
             column.prop(settings, "sizing")
             column.prop(settings, "texels_per_meter" if settings.sizing == "density" else "size")
@@ -229,14 +230,24 @@ class RADIOSITY_PT_advanced(_Panel, bpy.types.Panel):
         settings, layout = context.scene.radiosity, self.layout
         layout.use_property_split = True
         layout.use_property_decorate = False
-        if settings.target == "lightmap":
-            for name in ("uv", "padding", "image"):
-                layout.prop(settings, name)
+        for name in _of_target(settings):
+            layout.prop(settings, name)
         for name in ("side", "shared", "whole", "patch", "schedule", "rows", "force", "seed"):
             row = layout.row()
             row.enabled = name != "patch" or not settings.whole
             row.prop(settings, name)
         layout.label(text=tr("{} cells: see the extension's preferences", preference("cells") or default_cells()))
+
+
+def _of_target(settings):
+    """Names of the settings that few need of what the light is written to."""
+    if settings.target == "lightmap":
+        return ["uv", "padding", "image"]
+    names = ["max_edge", "min_edge", "contrast", "vertices", "in_place"] if settings.mesh == "subdivide" else []
+    names += ["bytes", *(["byte_automatic"] if settings.bytes else [])]
+    names += ["channel_of", *(["channel"] if settings.channel_of else [])]
+    fixed = (settings.bytes and not settings.byte_automatic) or (settings.channel_of and not settings.bytes)
+    return [*names, "byte_exposure"] if fixed else names
 
 
 def _list(layout, rows):

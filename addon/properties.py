@@ -87,10 +87,11 @@ class RADIOSITY_PG_result(bpy.types.PropertyGroup):
 
     def note_estimate(self, bake):
         """Keep what is known of a Bake's error."""
-        if bake.estimate is None:
+        estimate = getattr(bake, "estimate", None)
+        if estimate is None:
             return
-        self.error, self.asked, self.converged = bake.estimate.total, bake.settings.error, bake.converged
-        worst = bake.estimate.worst()
+        self.error, self.asked, self.converged = estimate.total, bake.settings.error, bake.converged
+        worst = estimate.worst()
         if worst:
             self.worst, self.worst_error = bake.scene.objects[worst[0]], worst[1]
 
@@ -146,6 +147,63 @@ class RADIOSITY_PG_settings(bpy.types.PropertyGroup):
             ("lightmap", "Lightmaps", "Images, on copies of the objects whose materials show them"),
         ],
         default="vertex",
+    )
+    mesh: EnumProperty(
+        name="Meshes",
+        description="Whether meshes are made finer where the light needs it",
+        items=[
+            ("keep", "Keep", "Meshes stay as they are"),
+            ("subdivide", "Make Finer", "Faces are split where the light varies, in copies of the objects"),
+        ],
+        default="keep",
+    )
+    max_edge: FloatProperty(
+        name="Longest Edge",
+        description="Longest edge that is left in finer meshes, in meters; 0 takes 1/40 of the scene's size",
+        subtype="DISTANCE", default=0.0, min=0.0, soft_max=10.0,
+    )  # fmt: skip
+    min_edge: FloatProperty(
+        name="Shortest Edge",
+        description="Shortest edge that is made in finer meshes, in meters; 0 takes 1/16 of the longest",
+        subtype="DISTANCE", default=0.0, min=0.0, soft_max=1.0,
+    )  # fmt: skip
+    contrast: FloatProperty(
+        name="Contrast",
+        description="Edges whose ends differ by more than this share of the light are split; 0 takes 0.1",
+        default=0.0, min=0.0, soft_max=1.0,
+    )  # fmt: skip
+    vertices: IntProperty(
+        name="Most Vertices",
+        description="How many vertices finer meshes may have together; 0 takes a million",
+        default=0, min=0,
+    )  # fmt: skip
+    in_place: BoolProperty(
+        name="In Place",
+        description="Make the objects' own meshes finer, in place of copies; modifiers are applied",
+    )
+    bytes: BoolProperty(
+        name="8-Bit Copies",
+        description="Also write each layer as 8-bit sRGB colors, which game engines read",
+    )
+    byte_automatic: BoolProperty(
+        name="Automatic Exposure",
+        description="Expose 8-bit copies so that 99 % of the light is below white",
+        default=True,
+    )
+    byte_exposure: FloatProperty(
+        name="8-Bit Exposure",
+        description="Exposure of 8-bit copies and of the channel, in stops",
+        default=0.0, soft_min=-10.0, soft_max=10.0, precision=1, step=10,
+    )  # fmt: skip
+    channel_of: StringProperty(
+        name="Channel Of",
+        description="Color attribute one of whose channels takes the first layer's brightness; empty for none",
+    )
+    channel: EnumProperty(
+        name="Channel",
+        description="The channel that takes the first layer's brightness",
+        items=[("R", "Red", "Red"), ("G", "Green", "Green"), ("B", "Blue", "Blue"), ("A", "Alpha", "Alpha")],
+        default="A",
     )
     sizing: EnumProperty(
         name="Resolution",
@@ -285,6 +343,15 @@ class RADIOSITY_PG_settings(bpy.types.PropertyGroup):
             force=EFFECTS if self.force else (),
             seed=self.seed,
             target=self.target,
+            mesh=self.mesh if self.target == "vertex" else "keep",
+            max_edge=self.max_edge or None,
+            min_edge=self.min_edge or None,
+            contrast=self.contrast or None,
+            vertices=self.vertices or None,
+            in_place=self.in_place,
+            bytes=self.bytes,
+            exposure="auto" if self.bytes and self.byte_automatic else self.byte_exposure,
+            channel=(self.channel_of, self.channel) if self.channel_of else None,
             texels_per_meter=self.texels_per_meter,
             size=self.size if self.sizing == "size" else None,
             uv=self.uv or None,
