@@ -252,6 +252,9 @@ class RADIOSITY_OT_bake(_Work, bpy.types.Operator):
         result.note_survey(job.result.survey, job.changed)
         result.points, result.seconds, result.partial = len(job.result.points), job.seconds(), partial
         result.note_estimate(job.result)
+        if not partial:
+            used = job.result.cells
+            settings.note_price(job.options.error, result.seconds, used["host_mb"] + sum(used["cells_mb"]))
         result.layers = "" if lightmaps else ",".join(job.options.layers)
         if partial:
             text = tr("Bake ended early: the light so far was kept")
@@ -420,6 +423,7 @@ class RADIOSITY_OT_clear(_OfResult, bpy.types.Operator):
         forget_unused()
         settings = context.scene.radiosity
         settings.result.clear()
+        settings.prices.clear()
         settings.shown = ""
         restore_views(context)
         return {"FINISHED"}

@@ -101,7 +101,7 @@ def _draw_preflight(layout, context, settings):
 
 
 def _draw_accuracy(layout, settings):
-    """The accuracy and, beside it, what each costs."""
+    """The accuracy and, below it, what those that were baked have cost."""
     row = layout.row()
     row.use_property_split = False
     row.prop(settings, "preset", expand=True)

@@ -55,7 +55,7 @@ class RADIOSITY_PG_finding(bpy.types.PropertyGroup):
 
 
 class RADIOSITY_PG_price(bpy.types.PropertyGroup):
-    """What an accuracy costs."""
+    """What an accuracy has cost: error asked for, seconds, and memory [MB]."""
 
     error: FloatProperty()
     seconds: FloatProperty()
@@ -325,6 +325,15 @@ class RADIOSITY_PG_settings(bpy.types.PropertyGroup):
     shown: StringProperty(options={"HIDDEN"})
     result: PointerProperty(type=RADIOSITY_PG_result)
     prices: CollectionProperty(type=RADIOSITY_PG_price)
+
+    def note_price(self, error, seconds, memory):
+        """Keep what an accuracy has cost, in a list from the coarsest to the finest."""
+        rows = {round(p.error, 7): (p.seconds, p.memory) for p in self.prices}
+        rows[round(error, 7)] = seconds, memory
+        self.prices.clear()
+        for error, (seconds, memory) in sorted(rows.items(), reverse=True):
+            row = self.prices.add()
+            row.error, row.seconds, row.memory = error, seconds, memory
 
     def options(self, context):
         """The Options of a bake with these settings."""

@@ -111,6 +111,18 @@ def test_the_button_gives_the_bits_of_the_command(room, cells):
     assert {e.name for e in result.effects} >= {"lamps", "emission", "sky"}
 
 
+def test_what_bakes_have_cost_is_kept_and_chosen_from(room):
+    for error in (5.0, 10.0, 5.0):
+        assert bpy.ops.radiosity.bake(error=error) == {"FINISHED"}
+    prices = room.radiosity.prices
+    assert [round(p.error, 4) for p in prices] == [0.1, 0.05]
+    assert all(p.seconds > 0 and p.memory > 0 for p in prices)
+    bpy.ops.radiosity.choose(error=prices[1].error)
+    assert room.radiosity.options(bpy.context).error == pytest.approx(0.05)
+    bpy.ops.radiosity.clear()
+    assert not prices
+
+
 def test_preflight_names_what_stands_in_the_way(room):
     def look():
         bpy.context.view_layer.update()
