@@ -10,7 +10,6 @@ from .job import Options
 
 LATER = {
     "--time": "a time limit", "--per-object": "an error per object", "--state": "state files",
-    "--groups": "light groups",
 }  # fmt: skip
 
 

@@ -49,6 +49,7 @@ def add(commands):
         "--channel", type=channel, metavar="NAME:R", help="the first layer's brightness into this channel"
     )
     bake.add_argument("--export", metavar="OUT.glb", help="write glTF or USD too; a folder for several scenes")
+    bake.add_argument("--groups", choices=("collection", "lamp"), help="layers of each light group too")
     bake.add_argument("--mesh", choices=("keep", "subdivide"), default="keep", help="finer where the light needs it")
     finer = bake.add_argument_group("subdivision")
     finer.add_argument("--max-edge", type=positive, metavar="M", help="longest edge left [m] (default: scene / 40)")
@@ -138,6 +139,7 @@ def _bake_file(path, arguments, cells, start_seconds, several):
         strict=arguments.strict,
         output=output,
         target=arguments.target,
+        groups=arguments.groups,
         mesh=arguments.mesh,
         max_edge=arguments.max_edge,
         min_edge=arguments.min_edge,

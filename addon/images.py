@@ -47,6 +47,7 @@ def make_image(name, pixels, path=None, kind="exr"):
         image.filepath = bpy.path.relpath(path) if bpy.data.filepath else path
         image.reload()
     mark(image)
+    image.use_fake_user = True  # saved with the file, whether a material shows it or not
     image["scale"] = scale
     return image
 

@@ -16,7 +16,7 @@ from ..core.lights import emitting_polygons
 from ..core.report import make_report
 from ..core.settings import Settings
 from .errors import Refused
-from .outputs import make_output
+from .outputs import grouping, layers_of, make_output
 from .read_scene import reading_scene
 from .steps import aside
 from .version import version
@@ -33,6 +33,8 @@ class Options:
 
     bytes: 8-bit copies of the layers too, sRGB of the light times 2^exposure, "auto" for one that fits. channel:
     (attribute, "R", "G", "B" or "A") that takes the first layer's brightness.
+
+    groups: "lamp" or "collection": layers of each light group too.
 
     mesh: "keep" or "subdivide"; then max_edge, min_edge [m], contrast and vertices as for the core's Fitting, None for what
     suits the scene; in_place: the objects themselves instead of copies.
@@ -57,6 +59,7 @@ class Options:
     force: tuple = ()
     output: str = ""
     target: str = "vertex"
+    groups: str | None = None
     mesh: str = "keep"
     max_edge: float | None = None
     min_edge: float | None = None
@@ -164,12 +167,13 @@ class Job:
         if not (self.scene.lamps or emits or self.scene.world.brightest > 0):
             raise Refused("nothing gives light: add a lamp, an emitting material or a world color")
         self.output.read(context, self.scene, self.targets)
+        self._group_of = grouping(context, self.options)
         self._read_seconds = perf_counter() - begun
 
     def bake(self):
         """The core's bake: yields Progress."""
         self.result = yield from bake(
-            self.scene, self.options.settings(self.scene.diagonal), self.cells, self.output.place
+            self.scene, self.options.settings(self.scene.diagonal), self.cells, self.output.place, self._group_of
         )
         self.output.compute(self.result)
         found = self.result.survey
@@ -218,7 +222,8 @@ class Job:
     def report(self, scene):
         """The report of the bake. scene: the file it came from."""
         return make_report(
-            self.result, scene=scene, version=version(), layers=self.options.layers, domain=self.output.domain,
+            self.result, scene=scene, version=version(), layers=[name for name, _, _ in layers_of(self.options, self.result.groups)],
+            domain=self.output.domain,
             start=self._start, read=self._read_seconds, write=self._write_seconds,
             lightmaps=self.output.lightmaps,
         )  # fmt: skip

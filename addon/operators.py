@@ -17,7 +17,7 @@ from .marks import is_made, made_layers, unmark_layers
 from .preferences import preference
 from .running import Running, phase_text
 from .session import Session
-from .shown import forget_unused
+from .shown import forget_others
 from .steps import in_steps
 from .translations import tr, tr_message
 from .viewport import (
@@ -420,7 +420,7 @@ class RADIOSITY_OT_clear(_OfResult, bpy.types.Operator):
                     mesh.color_attributes.remove(attribute)
             unmark_layers(mesh)
             mesh.update()
-        forget_unused()
+        forget_others(())
         settings = context.scene.radiosity
         settings.result.clear()
         settings.prices.clear()

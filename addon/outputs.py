@@ -12,16 +12,18 @@ import bpy
 import numpy as np
 
 from ..core.atlas import NoUnwrapper, make_atlas, read_atlas
+from ..core.groups import make_groups
 from ..core.health import Finding
 from ..core.layers import layer_colors, luminance, texel_colors
 from ..core.lightmap import find_seams, look_up, make_images, make_texels
+from ..core.lights import emitting_polygons
 from ..core.raycast import RayCaster
 from ..core.remesh import triangulated
 from ..core.subdivide import Fitting, fit_mesh
 from .errors import Refused
 from .images import image_path, make_image
 from .remesh import carry_groups, groups_of, make_mesh, piece_of
-from .shown import forget_unused, show
+from .shown import forget_others, show
 from .write_result import check_names, copy_with, result_copy, source_mesh, srgb, write_layers, writing_result
 
 UV_MAP = "Lightmap"
@@ -40,8 +42,8 @@ class VertexColors:
 
     def read(self, context, scene, targets):
         """Check, before any work, that nothing of the user's is in the way, and that what is to be filled is there."""
-        layers = self.options.layers
-        check_names(targets, (*layers, *(map(coded, layers) if self.options.bytes else ())))
+        names = [name for name, _, _ in layers_of(self.options, groups_of_scene(context, scene, self.options))]
+        check_names(targets, (*names, *(map(coded, names) if self.options.bytes else ())))
         if self.options.channel:
             name = self.options.channel[0]
             for target in targets:
@@ -52,7 +54,8 @@ class VertexColors:
 
     def compute(self, result):
         """Make the layers' colors of a Bake."""
-        colors = {layer: layer_colors(result, layer) for layer in self.options.layers}
+        layers = layers_of(self.options, result.groups)
+        colors = {name: layer_colors(result, layer, group) for name, layer, group in layers}
         first = next(iter(colors.values()))
         self.exposure = exposure_of(self.options, first[result.points.corner])
         self.encoded = tuple(map(coded, colors)) if self.options.bytes else ()
@@ -203,7 +206,8 @@ class Lightmaps:
         scene, atlas, texels = result.scene, self.atlas, result.points
         caster = RayCaster(scene.vertices, scene.triangles, scene.usable)
         self.seams = find_seams(scene, atlas, self._flipped, caster)
-        self.images = {layer: self._make(layer, result) for layer in self.options.layers}
+        layers = layers_of(self.options, result.groups)
+        self.images = {name: self._make(layer, result, group) for name, layer, group in layers}
         self.exposure = exposure_of(self.options, texel_colors(result, atlas, self.options.layers[0]))
         self.scene = scene
         self.findings = tuple(Finding(*f) for f in atlas.findings)
@@ -235,12 +239,13 @@ class Lightmaps:
 
         return color
 
-    def _make(self, layer, result):
-        return make_images(self.atlas, result.points, texel_colors(result, self.atlas, layer).T, self.seams)
+    def _make(self, layer, result, group=None):
+        colors = texel_colors(result, self.atlas, layer, group)
+        return make_images(self.atlas, result.points, colors.T, self.seams)
 
     def writing(self, context, targets):
         """Write images and copies, in steps; returns Findings."""
-        images = {}
+        images, copies = {}, []
         output = self.options.output or bpy.data.filepath
         for layer, pictures in self.images.items():
             for number, name in enumerate(self.atlas.names):
@@ -250,7 +255,8 @@ class Lightmaps:
                 if self.options.bytes:
                     encoded = srgb(np.clip(pictures[number] * 2.0**self.exposure, 0.0, 1.0))
                     path = image_path(output, name, coded(layer), "png") if output else None
-                    make_image(f"{name}_{coded(layer)}", encoded, path, "byte")[EXPOSURE] = self.exposure
+                    copies.append(make_image(f"{name}_{coded(layer)}", encoded, path, "byte"))
+                    copies[-1][EXPOSURE] = self.exposure
         remesh = None if self._uv is not None else triangulated(self.scene)
         findings = []
         for target in targets:
@@ -263,7 +269,7 @@ class Lightmaps:
             number = self._image_of(target)
             if number is not None:
                 show(copy, (images[self.options.layers[0], number], self.name))
-        forget_unused()
+        forget_others([*images.values(), *copies])
         return tuple(findings)
 
     def _image_of(self, target):
@@ -287,6 +293,36 @@ class Lightmaps:
         layer = copy.data.uv_layers.new(name=UV_MAP, do_init=False)
         layer.uv.foreach_set("vector", uv.astype(np.float32).reshape(-1))
         return copy
+
+
+def layers_of(options, groups):
+    """(name, layer, group) of all that options ask to write: the layers, and each layer of each group."""
+    whole = [(layer, layer, None) for layer in options.layers]
+    if groups is None:
+        return whole
+    return whole + [(f"{layer}_{name}", layer, g) for layer in options.layers for g, name in enumerate(groups.names)]
+
+
+def groups_of_scene(context, scene, options):
+    """The core's Groups of a scene as it was read, or None."""
+    group_of = grouping(context, options)
+    return make_groups(scene, group_of, emitting_polygons(scene)) if group_of else None
+
+
+def grouping(context, options):
+    """The function that gives the light group of a lamp's or object's name, or None: its own name, or that of its first
+    collection."""
+    if options.groups is None:
+        return None
+    if options.groups == "lamp":
+        return lambda name: name
+    collections = {o.name: c.name for c in reversed(_collections(context.scene.collection)) for o in c.objects}
+    return lambda name: collections.get(name, name)
+
+
+def _collections(collection):
+    """A collection and all below it, in their order."""
+    return [collection] + [c for child in collection.children for c in _collections(child)]
 
 
 def coded(layer):

@@ -34,11 +34,12 @@ def discard(object):
             bpy.data.materials.remove(material)
 
 
-def forget_unused():
-    """Remove materials and images that bakes made and nothing uses any more."""
-    for things in (bpy.data.materials, bpy.data.images):
-        for thing in [t for t in things if t.get(KEY) and not t.users - t.use_fake_user]:
-            things.remove(thing)
+def forget_others(images):
+    """Remove materials and images that bakes made and nothing uses any more, but these images."""
+    for material in [m for m in bpy.data.materials if m.get(KEY) and not m.users]:
+        bpy.data.materials.remove(material)
+    for image in [i for i in bpy.data.images if i.get(KEY) and i not in images and i.users == i.use_fake_user]:
+        bpy.data.images.remove(image)
 
 
 def _shown(material, source, shader):

@@ -13,10 +13,11 @@ from .cells import peak_memory
 from .contacts import cut_contacts
 from .effects import Survey, simplified, survey
 from .gather import Light, gather
+from .groups import Groups, make_groups, weighted
 from .health import mend
 from .host import Solution, solve
 from .kernel import transport_arrays
-from .lights import make_sources
+from .lights import emitting_polygons, make_sources
 from .paper import solve_paper
 from .patches import Patches, make_patches, patch_of_hit
 from .placing import refill, thin_findings
@@ -49,7 +50,8 @@ class Progress:
 
 @dataclass(frozen=True)
 class Bake:
-    """A finished bake: every record of its path, seconds by phase, CPU seconds, and what the cells used."""
+    """A finished bake: every record of its path, seconds by phase, CPU seconds, and what the cells used. groups: light
+    groups, if they were asked for, and by_group: a Light with a channel for each group's."""
 
     scene: Scene
     settings: Settings
@@ -61,19 +63,22 @@ class Bake:
     seconds: dict = field(default_factory=dict)
     rays: int = 0
     cells: dict = field(default_factory=dict)
+    groups: Groups | None = None
+    by_group: Light | None = None
 
 
-def bake(scene, settings, cells, place=None):
+def bake(scene, settings, cells, place=None, group_of=None):
     """Bake a scene: a generator that yields Progress and returns the Bake. cells: any `Cells`; they are left running.
     place: generator function of (scene, flipped, cells, light) that returns the Scene to write and its Points, None for
-    the scene's corners; light: generator function of Points, that returns (P,) what they get, roughly."""
+    the scene's corners; light: generator function of Points, that returns (P,) what they get, roughly. group_of: the light
+    group of a lamp's or object's name, see groups.make_groups; None keeps no groups."""
     try:
-        return (yield from _bake(scene, settings, cells, place))
+        return (yield from _bake(scene, settings, cells, place, group_of))
     finally:
         cells.clear()
 
 
-def _bake(scene, settings, cells, place):
+def _bake(scene, settings, cells, place, group_of):
     clock = _Clock(cells)
     scene = mend(scene)
     found = survey(scene, settings, cells)
@@ -87,11 +92,16 @@ def _bake(scene, settings, cells, place):
     sources, sampled = make_sources(replace(scene, world=world))
     if not found.needs("color"):
         sources = sources.one_channel()
+    groups = make_groups(scene, group_of, emitting_polygons(scene)) if group_of else None
+    ungrouped, sources = sources, groups.of_sources(sources) if groups else sources
     cells.start(transport_arrays(patches, sources, found.needs("occlusion"), len(sky)))
     # Patches that are to be the mesh's own polygons stay what they are.
     if edge is not None and found.needs("occlusion"):
         patches = cut_contacts(scene, patches, cells)
     surfaces, sky = _surfaces(scene, patches, sampled, found, np.pi * sky.T)
+    if groups:
+        owner = scene.polygon_object[patches.polygon]
+        _, surfaces, sky = groups.apart(ungrouped, surfaces, sky, owner)
     if surfaces.coverage is not None:
         cells.start({"alpha.coverage": surfaces.coverage[::2]})
     clock.lap("patches")
@@ -120,12 +130,16 @@ def _bake(scene, settings, cells, place):
     gathering = gather(points, solution, surfaces, sky, scene.diagonal, cells, settings)
     light = yield from _each(gathering, lambda done: _of_points(*done, clock))
     light = refill(points, light)
+    by_group = light
+    if groups:
+        light = weighted(light, groups)
     clock.lap("gather")
     thin = tuple(thin_findings(scene, points))
     after = found.after(scene, patches, solution, settings.error, cells.note, thin)
     return Bake(
         written, settings, after, patches, points, solution, light,
-        seconds=clock.seconds(), rays=clock.rays(), cells=clock.cells(),
+        seconds=clock.seconds(), rays=clock.rays(), cells=clock.cells(), groups=groups,
+        by_group=by_group if groups else None,
     )  # fmt: skip
 
 

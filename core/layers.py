@@ -4,33 +4,49 @@ from __future__ import annotations
 
 import numpy as np
 
+from .groups import one_group
 from .surfaces import corner_surfaces, place_surfaces
 
 LAYERS = ("Radiosity", "Lighting", "Direct", "Indirect")
 
 
-def layer_colors(bake, layer):
+def layer_colors(bake, layer, group=None):
     """(C, 3) float64 color of every corner of the scene in a layer; 0 at corners without a point.
 
     Radiosity: (exitance + reflectance * irradiance) / pi, what the eye sees. Lighting: irradiance / pi, without the
-    surface's own color. Direct, Indirect: its two parts. Raises ValueError for a layer that is not known.
+    surface's own color. Direct, Indirect: its two parts. group: number of the light group that is meant, None for all
+    light. Raises ValueError for a layer that is not known.
     """
     points, scene = bake.points, bake.scene
     colors = np.zeros((len(scene.corner_vertex), 3))
-    colors[points.corner] = _arriving(bake.light, layer)[:, points.corner_point].T
+    colors[points.corner] = _arriving(_light_of(bake, group), layer)[:, points.corner_point].T
     if layer == "Radiosity":
         reflectance, exitance = corner_surfaces(scene, points.corner)
-        colors[points.corner] = exitance + reflectance * colors[points.corner]
+        glows = _glowing(bake, group)[points.object[points.corner_point]]
+        colors[points.corner] = exitance * glows[:, None] + reflectance * colors[points.corner]
     return colors / np.pi
 
 
-def texel_colors(bake, atlas, layer):
-    """(P, 3) float64 color in a layer of every point of a Bake, whose points are Texels of an atlas."""
-    colors = np.broadcast_to(_arriving(bake.light, layer).T, (len(bake.points), 3))
+def texel_colors(bake, atlas, layer, group=None):
+    """(P, 3) float64 color in a layer of every point of a Bake, whose points are Texels of an atlas. group: see
+    `layer_colors`."""
+    colors = np.broadcast_to(_arriving(_light_of(bake, group), layer).T, (len(bake.points), 3))
     if layer == "Radiosity":
         reflectance, exitance = place_surfaces(bake.scene, atlas.triangle[bake.points.row], bake.points.weight)
-        colors = exitance + reflectance * colors
+        colors = exitance * _glowing(bake, group)[bake.points.object][:, None] + reflectance * colors
     return colors / np.pi
+
+
+def _light_of(bake, group):
+    """The Light of a group, or of all."""
+    return bake.light if group is None else one_group(bake.by_group, bake.groups, group)
+
+
+def _glowing(bake, group):
+    """(O,) bool: whether what an object emits belongs to a group."""
+    if group is None:
+        return np.ones(len(bake.scene.objects), bool)
+    return bake.groups.object == group
 
 
 def _arriving(light, layer):

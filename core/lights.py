@@ -38,7 +38,7 @@ class Sources:
     disk that faces the receiver. cone: (S, 2) cosine of a spot's half angle (-1: no cone) and its blend;
     of a FLAT that does not shine in all directions alike the tangent of half its spread (-1: it does) and a factor.
     corner_start: (S + 1,) int32, corner: (C, 3) convex polygons of the FLAT ones, and unit vectors toward the directions
-    of the SKY ones.
+    of the SKY ones. origin: (S,) int32 number of the lamp, -1 for the sky, -2 - o for faces of object o.
     """
 
     kind: np.ndarray
@@ -51,6 +51,7 @@ class Sources:
     cone: np.ndarray
     corner_start: np.ndarray
     corner: np.ndarray
+    origin: np.ndarray
 
     def __len__(self):
         return len(self.kind)
@@ -83,7 +84,7 @@ def make_sources(scene):
 
     An emitting polygon that is not among them is light that rays find by hitting it.
     """
-    found = [_of_lamp(lamp) for lamp in scene.lamps if max(lamp.strength) > 0]
+    found = [_from(k, _of_lamp(lamp)) for k, lamp in enumerate(scene.lamps) if max(lamp.strength) > 0]
     sampled = np.zeros(len(scene.polygon_material), bool)
     found += [
         _source(SKY, g.irradiance, (0,) * 3, -unit(g.directions.mean(axis=0)), radius=g.spread, corners=g.directions)
@@ -93,7 +94,8 @@ def make_sources(scene):
     for polygons, corners, _ in flats[:MOST_SOURCES]:
         sampled[polygons] = True
         exitance = scene.materials[scene.polygon_material[polygons[0]]].exitance
-        found.append(_source(FLAT, exitance, corners.mean(axis=0), _normal(corners), two_sided=True, corners=corners))
+        flat = _source(FLAT, exitance, corners.mean(axis=0), _normal(corners), two_sided=True, corners=corners)
+        found.append(_from(-2 - int(scene.polygon_object[polygons[0]]), flat))
     return _joined(found), sampled
 
 
@@ -298,7 +300,13 @@ def _source(kind, strength, position, direction, two_sided=False, radius=0.0, so
         cone=np.array([cone], float),
         corner_start=np.array([0, len(corners)], np.int32),
         corner=corners,
+        origin=np.array([-1], np.int32),
     )
+
+
+def _from(origin, source):
+    """A source of one with its origin."""
+    return replace(source, origin=np.array([origin], np.int32))
 
 
 def _joined(found):

@@ -163,3 +163,28 @@ def test_export_commands(tmp_path, capfd):
     ):  # fmt: skip
         assert main(arguments) == 1
         assert message in capfd.readouterr().err
+
+
+def test_layers_of_light_groups(cells):
+    """A layer for each lamp, or for each collection with lights in it; they add up to the whole."""
+    floor = lit_floor()
+    evening = bpy.data.collections.new("evening")
+    bpy.context.scene.collection.children.link(evening)
+    for name, place in (("left", (-0.5, 0.5, 1)), ("right", (0.3, -0.5, 1.5))):
+        made = lamp("POINT", 100.0, location=place)
+        made.name = name
+        bpy.context.scene.collection.objects.unlink(made)
+        evening.objects.link(made)
+    job = bake_ours(cells, groups="lamp", layers=("Lighting",))
+    names = {"Lighting", "Lighting_POINT", "Lighting_left", "Lighting_right"}
+    assert {a.name for a in floor.data.color_attributes} == names
+    assert set(job.report("x")["layers"]) == names
+    parts = [colors(floor.data, name) for name in names - {"Lighting"}]
+    np.testing.assert_allclose(sum(parts), colors(floor.data, "Lighting"), rtol=1e-5)
+    assert all(part.max() > 0.1 for part in parts)
+    evening_light = colors(floor.data, "Lighting_left") + colors(floor.data, "Lighting_right")
+    bake_ours(cells, groups="collection", layers=("Lighting",))
+    assert "Lighting_Scene Collection" in floor.data.color_attributes
+    np.testing.assert_allclose(colors(floor.data, "Lighting_evening"), evening_light, rtol=1e-5)
+    bake_ours(cells, groups="collection", layers=("Lighting",), target="lightmap", texels_per_meter=8)
+    assert {"floor_Lighting_evening", "wall_Lighting_evening", "floor_Lighting"} <= set(bpy.data.images.keys())
