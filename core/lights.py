@@ -162,8 +162,10 @@ def unoccluded(sources, s, position, normal):
         if radius > 0:  # each part of the disk shines by its own place in the cone
             a, b = (np.tile(x, len(lit)) for x in lattice(DISK_PLACES))
             place = np.repeat(position[lit], DISK_PLACES, axis=0)
-            each = _in_cone(sources, s, _on_disk(sources, s, place, a, b) - place)
-            factor[lit] *= np.einsum("kj->k", each.reshape(-1, DISK_PLACES)) / DISK_PLACES
+            each = _on_disk(sources, s, place, a, b) - place
+            weight = np.maximum(dot(each.reshape(-1, DISK_PLACES, 3), normal[lit][:, None]), 0.0)
+            inside = weight * _in_cone(sources, s, each).reshape(weight.shape)
+            factor[lit] *= ratio(np.einsum("kj->k", inside), np.einsum("kj->k", weight))
         else:
             factor[lit] *= _in_cone(sources, s, toward[lit])
     return factor
