@@ -41,7 +41,10 @@ bench-cells: setup ## how two cells scale, and the replay beside processes that 
 samples: setup ## make the sample scenes anew (needs bpy 4.2)
 	$(VENV)/python sample_scenes/make.py
 
+effects-table: setup ## the README's table of effects: small scenes, as needed and with all forced
+	$(VENV)/python tools/effects_table.py
+
 lint: setup ## check the style
 	$(VENV)/ruff check . && $(VENV)/ruff format --check .
 
-.PHONY: help setup bake test test-heavy hard-cases test-blender extension samples lint cells-plot bench-cells test-versions
+.PHONY: help setup bake test test-heavy hard-cases test-blender extension samples effects-table lint cells-plot bench-cells test-versions

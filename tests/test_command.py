@@ -208,7 +208,7 @@ def test_frame_and_scene(scene):
 
 def test_ctrl_c_ends_with_130_and_leaves_nothing(scene):
     process = subprocess.Popen(
-        [*RADIOSITY, "bake", str(scene), "--error", "0.05%"],
+        [*RADIOSITY, "bake", str(scene), "--error", "0.05%", "--force-effects", "all"],
         stderr=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         text=True,
