@@ -49,6 +49,9 @@ def add(commands):
         "--channel", type=channel, metavar="NAME:R", help="the first layer's brightness into this channel"
     )
     bake.add_argument("--export", metavar="OUT.glb", help="write glTF or USD too; a folder for several scenes")
+    bake.add_argument(
+        "--occlusion-distance", type=positive, default=1.0, metavar="M", help="reach of the layer Occlusion [m]"
+    )
     bake.add_argument("--groups", choices=("collection", "lamp"), help="layers of each light group too")
     bake.add_argument("--mesh", choices=("keep", "subdivide"), default="keep", help="finer where the light needs it")
     finer = bake.add_argument_group("subdivision")
@@ -139,6 +142,7 @@ def _bake_file(path, arguments, cells, start_seconds, several):
         strict=arguments.strict,
         output=output,
         target=arguments.target,
+        occlusion_distance=arguments.occlusion_distance,
         groups=arguments.groups,
         mesh=arguments.mesh,
         max_edge=arguments.max_edge,

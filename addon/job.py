@@ -34,7 +34,7 @@ class Options:
     bytes: 8-bit copies of the layers too, sRGB of the light times 2^exposure, "auto" for one that fits. channel:
     (attribute, "R", "G", "B" or "A") that takes the first layer's brightness.
 
-    groups: "lamp" or "collection": layers of each light group too.
+    occlusion_distance: of the layer Occlusion [m]. groups: "lamp" or "collection": layers of each light group too.
 
     mesh: "keep" or "subdivide"; then max_edge, min_edge [m], contrast and vertices as for the core's Fitting, None for what
     suits the scene; in_place: the objects themselves instead of copies.
@@ -59,6 +59,7 @@ class Options:
     force: tuple = ()
     output: str = ""
     target: str = "vertex"
+    occlusion_distance: float = 1.0
     groups: str | None = None
     mesh: str = "keep"
     max_edge: float | None = None
@@ -86,6 +87,7 @@ class Options:
             schedule=self.schedule,
             rows=self.rows or ("analytic" if self.schedule == "paper" else "rays"),
             memory=self.memory or default_memory(),
+            occlusion=self.occlusion_distance if "Occlusion" in self.layers else None,
         )
         if self.max_patch == "mesh":
             return replace(settings, patch_edge=None)

@@ -14,7 +14,7 @@ import numpy as np
 from ..core.atlas import NoUnwrapper, make_atlas, read_atlas
 from ..core.groups import make_groups
 from ..core.health import Finding
-from ..core.layers import layer_colors, luminance, texel_colors
+from ..core.layers import PLAIN, layer_colors, luminance, texel_colors
 from ..core.lightmap import find_seams, look_up, make_images, make_texels
 from ..core.lights import emitting_polygons
 from ..core.raycast import RayCaster
@@ -300,7 +300,8 @@ def layers_of(options, groups):
     whole = [(layer, layer, None) for layer in options.layers]
     if groups is None:
         return whole
-    return whole + [(f"{layer}_{name}", layer, g) for layer in options.layers for g, name in enumerate(groups.names)]
+    lit = [layer for layer in options.layers if layer not in PLAIN]
+    return whole + [(f"{layer}_{name}", layer, g) for layer in lit for g, name in enumerate(groups.names)]
 
 
 def groups_of_scene(context, scene, options):

@@ -241,9 +241,11 @@ class RADIOSITY_PT_advanced(_Panel, bpy.types.Panel):
 
 def _of_target(settings):
     """Names of the settings that few need of what the light is written to."""
+    common = ["groups", *(["occlusion_distance"] if "Occlusion" in settings.layers else [])]
     if settings.target == "lightmap":
-        return ["uv", "padding", "image"]
+        return [*common, "uv", "padding", "image"]
     names = ["max_edge", "min_edge", "contrast", "vertices", "in_place"] if settings.mesh == "subdivide" else []
+    names += common
     names += ["bytes", *(["byte_automatic"] if settings.bytes else [])]
     names += ["channel_of", *(["channel"] if settings.channel_of else [])]
     fixed = (settings.bytes and not settings.byte_automatic) or (settings.channel_of and not settings.bytes)

@@ -135,6 +135,7 @@ class RADIOSITY_PG_settings(bpy.types.PropertyGroup):
             ("Lighting", "Lighting", "The light that arrives, without the surface's own color"),
             ("Direct", "Direct", "The part of Lighting that comes straight from lamps, emitting faces and the sky"),
             ("Indirect", "Indirect", "The part of Lighting that was reflected at least once"),
+            ("Occlusion", "Occlusion", "Ambient occlusion: white in the open, dark where something is near"),
         ],
         options={"ENUM_FLAG"},
         default={"Radiosity", "Lighting"},
@@ -180,6 +181,21 @@ class RADIOSITY_PG_settings(bpy.types.PropertyGroup):
     in_place: BoolProperty(
         name="In Place",
         description="Make the objects' own meshes finer, in place of copies; modifiers are applied",
+    )
+    occlusion_distance: FloatProperty(
+        name="Distance",
+        description="How near something must be to count as ambient occlusion",
+        subtype="DISTANCE", default=1.0, min=1e-4,
+    )  # fmt: skip
+    groups: EnumProperty(
+        name="Light Groups",
+        description="Layers for the light of each group too; all share every ray",
+        items=[
+            ("none", "None", "Layers of all light together only"),
+            ("lamp", "Lamps", "A group for each lamp, each object that emits light, and the sky"),
+            ("collection", "Collections", "A group for each collection"),
+        ],
+        default="none",
     )
     bytes: BoolProperty(
         name="8-Bit Copies",
@@ -358,6 +374,8 @@ class RADIOSITY_PG_settings(bpy.types.PropertyGroup):
             contrast=self.contrast or None,
             vertices=self.vertices or None,
             in_place=self.in_place,
+            occlusion_distance=self.occlusion_distance,
+            groups=None if self.groups == "none" else self.groups,
             bytes=self.bytes,
             exposure="auto" if self.bytes and self.byte_automatic else self.byte_exposure,
             channel=(self.channel_of, self.channel) if self.channel_of else None,

@@ -18,6 +18,7 @@ from .health import mend
 from .host import Solution, solve
 from .kernel import transport_arrays
 from .lights import emitting_polygons, make_sources
+from .occlusion import find_openness
 from .paper import solve_paper
 from .patches import Patches, make_patches, patch_of_hit
 from .placing import refill, thin_findings
@@ -52,7 +53,8 @@ class Progress:
 @dataclass(frozen=True)
 class Bake:
     """A finished bake: every record of its path, seconds by phase, CPU seconds, and what the cells used. groups: light
-    groups, if they were asked for, and by_group: a Light with a channel for each group's."""
+    groups, if they were asked for, and by_group: a Light with a channel for each group's.
+    openness: (P,) 1 less ambient occlusion, if it was asked for."""
 
     scene: Scene
     settings: Settings
@@ -66,6 +68,7 @@ class Bake:
     cells: dict = field(default_factory=dict)
     groups: Groups | None = None
     by_group: Light | None = None
+    openness: np.ndarray | None = None
 
 
 def bake(scene, settings, cells, place=None, group_of=None):
@@ -132,6 +135,10 @@ def _bake(scene, settings, cells, place, group_of):
     gathering = gather(points, solution, surfaces, sky, scene.diagonal, cells, settings)
     light = yield from _each(gathering, lambda done: _of_points(*done, clock))
     light = refill(points, light)
+    openness = None
+    if settings.occlusion is not None:
+        finding = find_openness(points, settings.occlusion, cells, settings.seed)
+        openness = yield from _each(finding, lambda done: _of_points(*done, clock))
     by_group = light
     if groups:
         light = weighted(light, groups)
@@ -141,7 +148,7 @@ def _bake(scene, settings, cells, place, group_of):
     return Bake(
         written, settings, after, patches, points, solution, light,
         seconds=clock.seconds(), rays=clock.rays(), cells=clock.cells(), groups=groups,
-        by_group=by_group if groups else None,
+        by_group=by_group if groups else None, openness=openness,
     )  # fmt: skip
 
 

@@ -7,18 +7,23 @@ import numpy as np
 from .groups import one_group
 from .surfaces import corner_surfaces, place_surfaces
 
-LAYERS = ("Radiosity", "Lighting", "Direct", "Indirect")
+LAYERS = ("Radiosity", "Lighting", "Direct", "Indirect", "Occlusion")
+PLAIN = ("Occlusion",)  # layers that are no light: they have no groups
 
 
 def layer_colors(bake, layer, group=None):
     """(C, 3) float64 color of every corner of the scene in a layer; 0 at corners without a point.
 
     Radiosity: (exitance + reflectance * irradiance) / pi, what the eye sees. Lighting: irradiance / pi, without the
-    surface's own color. Direct, Indirect: its two parts. group: number of the light group that is meant, None for all
+    surface's own color. Direct, Indirect: its two parts. Occlusion: 1 where nothing is near, less
+    where something is. group: number of the light group that is meant, None for all
     light. Raises ValueError for a layer that is not known.
     """
     points, scene = bake.points, bake.scene
     colors = np.zeros((len(scene.corner_vertex), 3))
+    if layer == "Occlusion":
+        colors[points.corner] = bake.openness[points.corner_point][:, None]
+        return colors
     colors[points.corner] = _arriving(_light_of(bake, group), layer)[:, points.corner_point].T
     if layer == "Radiosity":
         reflectance, exitance = corner_surfaces(scene, points.corner)
@@ -30,6 +35,8 @@ def layer_colors(bake, layer, group=None):
 def texel_colors(bake, atlas, layer, group=None):
     """(P, 3) float64 color in a layer of every point of a Bake, whose points are Texels of an atlas. group: see
     `layer_colors`."""
+    if layer == "Occlusion":
+        return np.repeat(bake.openness[:, None], 3, axis=1)
     colors = np.broadcast_to(_arriving(_light_of(bake, group), layer).T, (len(bake.points), 3))
     if layer == "Radiosity":
         reflectance, exitance = place_surfaces(bake.scene, atlas.triangle[bake.points.row], bake.points.weight)

@@ -24,6 +24,7 @@ class Settings:
     on a patch where its direct light is tested. gather_rays: of a point. side: whose light is asked for, of each
     face: "front", "back" or "lit" (the one that gets more). schedule: "dynamic" or "paper"; rows: "rays" or "analytic",
     the estimator of form-factor rows. force: effects that are simulated although nothing calls for them. memory: what host and cells together may use [bytes].
+    occlusion: distance within which ambient occlusion counts [m]; None finds none.
     """
 
     error: float = PRESETS["good"]
@@ -36,6 +37,7 @@ class Settings:
     rows: str = "rays"
     memory: float = 2e9
     side: str = "front"
+    occlusion: float | None = None
     force: tuple = ()
 
     @classmethod

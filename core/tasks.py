@@ -7,6 +7,7 @@ import numpy as np
 from .contacts import find_contacts
 from .gather import gather_points
 from .lightmap import settle_points
+from .occlusion import openness_of_points
 from .placing import find_blocked, find_reach
 from .rows import analytic_rows, light_patches, trace_rows
 
@@ -34,5 +35,6 @@ TASKS = {
     "analytic": analytic_rows,
     "gather": gather_points,
     "settle": settle_points,
+    "openness": openness_of_points,
     "wait": wait,
 }

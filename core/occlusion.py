@@ -1,0 +1,47 @@
+"""Ambient occlusion: how much of what a point could see stands within a given distance. No light is asked for."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .kernel import blocks
+from .sampling import hemisphere, lattice, scatter, tangents
+from .vectors import dot
+
+RAYS = 96  # of a point
+TASK_POINTS = 1 << 10
+SALT = 21
+
+
+def find_openness(points, distance, cells, seed):
+    """(P,) cosine-weighted share of each point's hemisphere in which nothing stands within a distance [m]: 1 in the open.
+    A generator that yields (points done, all points). cells: started with the scene and the points."""
+    parts = [(k, min(k + TASK_POINTS, len(points))) for k in range(0, len(points), TASK_POINTS)]
+    tasks = [cells.submit("openness", start=a, stop=b, distance=float(distance), seed=seed) for a, b in parts]
+    openness = np.ones(len(points))
+    for (start, stop), task in zip(parts, tasks):
+        (result,) = cells.take([task])
+        openness[start:stop] = result["openness"]
+        yield stop, len(points)
+    return openness
+
+
+def openness_of_points(kernel, start, stop, distance, seed):
+    """{"openness": (K,)} of points start to stop, see `find_openness`."""
+    points = kernel.points
+    u, v = lattice(RAYS)
+    reach = np.float32(distance * kernel.caster.frame[1])
+    openness = np.empty(stop - start)
+    for part in blocks(stop - start, RAYS):
+        ids = np.arange(start, stop)[part]
+        normal, geometric = points.normal[ids], points.geometric[ids]
+        turn = scatter(ids, SALT + 8 * seed)[:, None]
+        local = hemisphere(np.broadcast_to(u, (len(ids), RAYS)), (v + turn) % 1.0)
+        t1, t2 = tangents(normal)
+        direction = np.einsum("knj,kjd->knd", local, np.stack([t1, t2, normal], axis=1))
+        above = dot(direction, geometric[:, None]) > 0
+        origin = np.repeat(kernel.caster.start(points.position[ids], geometric), RAYS, axis=0)
+        target = origin + reach * direction.reshape(-1, 3).astype(np.float32)
+        free = ~kernel.caster.blocked(origin, target).reshape(-1, RAYS) & above
+        openness[part] = free.sum(axis=1) / RAYS
+    return {"openness": openness}
