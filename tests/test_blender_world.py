@@ -96,7 +96,8 @@ def test_world_like_cycles(cells, name):
     before = {kind: set(getattr(bpy.data, kind).keys()) for kind in ("worlds", "scenes", "meshes", "objects", "images")}
     bake_ours(cells, layers=("Direct", "Lighting"), error=0.005)
     assert before == {kind: set(getattr(bpy.data, kind).keys()) for kind in before}
-    for layer, parts in (("Direct", ["DIRECT"]), ("Lighting", ["DIRECT", "INDIRECT"])):
+    both = (("Direct", ["DIRECT"]), ("Lighting", ["DIRECT", "INDIRECT"]))
+    for layer, parts in both if "sun" in name else both[1:]:
         expected = bake_cycles(["floor", "wall"], 256, parts)
         for object in (ground, wall):
             exact, found = expected[object.name], colors(object.data, layer)
