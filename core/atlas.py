@@ -22,8 +22,9 @@ SMOOTH_EDGE = 0.766044443118978  # cosine of 40 degrees: charts go on across an 
 CLEAR = 1e-3  # how far inside two triangles [texels] a texel's center lies if they overlap
 OUTSIDE = 1e-4  # by how much a UV map may leave the unit square
 NO_AREA = 1e-9  # of the unit square, or of a texel
+MOST_CHECKED = 4e6  # texels that are looked at in all, if the images have no more
 CHECKED = 1024  # least size of the grid on which overlaps are looked for
-FINE = 20_000  # triangles from which xatlas' own charts take longer than the bake
+FINE = 20_000  # triangles of a scene from which xatlas' own charts would take longer than the bake
 NEARLY = 3e-4  # 1 - cosine between neighbors that xatlas takes for one plane, however far the surface bends in all
 EXACTLY = 1e-7  # the same, if they are one plane
 VOTES = 2  # rounds in which single triangles join the side that their neighbors face
@@ -71,15 +72,15 @@ def make_atlas(scene, density=16.0, size=None, together=False, padding=2):
     object = scene.polygon_object[scene.triangle_polygon[triangle]]
     for number in np.unique(object):
         mine = np.flatnonzero(object == number)
-        flat[mine], own = _charts(xatlas, scene, triangle[mine])
+        flat[mine], own = _charts(xatlas, scene, triangle[mine], len(triangle) > FINE)
         chart[mine] = own + chart.max(initial=-1) + 1
     place, sizes = np.zeros_like(flat), np.ones((len(names), 2), np.int64)
     for number in range(len(names)):
         mine = np.flatnonzero(owner == number)
         if len(mine):
             place[mine], sizes[number] = _pack(xatlas, flat[mine], chart[mine], density, size, padding, names[number])
-    atlas = Atlas(names, sizes, triangle, owner, chart, place, True, perf_counter() - begun)
-    return _checked(scene, atlas)
+    atlas = _checked(scene, Atlas(names, sizes, triangle, owner, chart, place, True))
+    return replace(atlas, seconds=perf_counter() - begun)
 
 
 def read_atlas(scene, corner_uv, density=16.0, size=None, together=False):
@@ -101,7 +102,8 @@ def read_atlas(scene, corner_uv, density=16.0, size=None, together=False):
     key = np.unique(np.column_stack([owner.repeat(3), corner_uv_keys(scene, corner, uv)]), axis=0, return_inverse=True)
     chart = components(*linked(np.arange(len(triangle)).repeat(3), key[1].reshape(-1)), len(triangle))
     place = uv * sizes[owner][:, None]
-    return _checked(scene, Atlas(names, sizes, triangle, owner, chart, place, False, perf_counter() - begun))
+    atlas = _checked(scene, Atlas(names, sizes, triangle, owner, chart, place, False))
+    return replace(atlas, seconds=perf_counter() - begun)
 
 
 def corner_uv_keys(scene, corner, uv):
@@ -131,8 +133,9 @@ def _mapped(scene, together):
     return triangle, owner.reshape(-1), tuple(scene.objects[o] for o in present)
 
 
-def _charts(xatlas, scene, triangle):
-    """Charts of one object's triangles (K,): their corners in the plane (K, 3, 2) [m], and the chart (K,) of each."""
+def _charts(xatlas, scene, triangle, fine):
+    """Charts of one object's triangles (K,): their corners in the plane (K, 3, 2) [m], and the chart (K,) of each. fine: the
+    scene has too many triangles for xatlas to find them."""
     normal = scene.corner_normal[scene.triangle_corner[triangle]].reshape(-1, 3)
     facing = scene.triangle_normal_area[0][triangle]
     normal = unit(normal, facing.repeat(3, axis=0))
@@ -142,7 +145,7 @@ def _charts(xatlas, scene, triangle):
     index = group.reshape(-1, 3)
     first, second = _edges(index)
     bend = 1.0 - dot(facing[first], facing[second])
-    if len(triangle) > FINE or ((bend > EXACTLY) & (bend < NEARLY)).any():
+    if fine or ((bend > EXACTLY) & (bend < NEARLY)).any():
         return _projected(scene, triangle, index, facing, first, second)
 
     position = np.zeros((count, 3))
@@ -347,6 +350,8 @@ def _checked(scene, atlas):
 def _overlapping(atlas):
     """Rows of the atlas' triangles that share the inside of a texel of a fine enough grid with another triangle."""
     fine = np.maximum(CHECKED / atlas.size.max(axis=1), 1.0)
+    covered = (np.abs(_signed_areas(atlas.place)) * fine[atlas.image] ** 2).sum()
+    fine = np.maximum(fine * sqrt(min(MOST_CHECKED / max(covered, 1.0), 1.0)), 1.0)
     place = atlas.place * fine[atlas.image][:, None, None]
     size = np.ceil(atlas.size * fine[:, None]).astype(np.int64)
     width, height = size.max(axis=0)
