@@ -127,7 +127,7 @@ def smooth(points, light, reach, links):
     apart = points.position[here] - points.position[there]
     distance = length(apart)
     degree = np.maximum(np.diff(points.neighbor_start), 1)
-    share = np.minimum(reach[here], reach[there]) / np.maximum(distance, 1e-300)
+    share = np.minimum(reach[here], reach[there]) / np.maximum(distance, 1e-9 * np.maximum(reach[here], 1e-300))
     weight = np.minimum(1.0, share * share / 4) / np.maximum(degree[here], degree[there])
     weight[dot(points.normal[here], points.normal[there]) < SMOOTH] = 0.0
 
@@ -139,7 +139,7 @@ def smooth(points, light, reach, links):
         return light
 
     once = diffuse(light)
-    return 2 * once - diffuse(once)
+    return np.maximum(2 * once - diffuse(once), 0.0)  # beside a steep edge the difference can fall below
 
 
 def _links(kernel, start, stop):

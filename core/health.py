@@ -19,6 +19,7 @@ from .vectors import dot, length
 FARTHEST = 1e15  # coordinates beyond it leave float64 too few digits to be squared, cubed and compared [m]
 FAR = 1e9  # nothing is further from the middle than so many times what half of the scene is
 SAME = 1e-6  # of the scene's diagonal: places closer than this are one place
+BRIGHTEST = 1e30  # more light than this has no place in float64 beside any other [W/m^2]
 WALKS, BOUNCES = 64, 24  # of light in a room that may be white all over
 IMBALANCE = 1e-3  # share of the emitted power that may be unaccounted for without a word
 LOST = 0.05  # share of the lamps' power in a closed scene that may not be found without a word
@@ -46,6 +47,9 @@ def mend(scene):
     scene = _without_broken(scene, findings)
     scene = replace(scene, double=_doubles(scene, findings))
     findings += [*_flat_parts(scene), *_turned(scene), *_tiny(scene), *_too_white(scene)]
+    if scene.textures:
+        uv = np.zeros((len(scene.corner_vertex), 2)) if scene.corner_uv is None else scene.corner_uv
+        scene = replace(scene, corner_uv=np.where(np.abs(uv) <= FARTHEST, uv, 0.0))
     lamps = tuple(lamp for lamp in scene.lamps if _shines(lamp, findings))
     materials = tuple(_bounded(scene, k, findings) for k in range(len(scene.materials)))
     world = _clear(scene.world, findings)
@@ -78,7 +82,7 @@ def direct_check(scene, solution):
     energy = solution.energy
     glowing = np.array([max(m.exitance) > 0 for m in scene.materials], bool)[scene.polygon_material].any()
     sent = [_sent(lamp) for lamp in scene.lamps if max(lamp.strength) > 0]
-    if glowing or max(scene.world.radiance) > 0 or not sent or None in sent or energy["escaped_w"] > 0:
+    if glowing or scene.world.brightest > 0 or None in sent or energy["escaped_w"] > 0 or not sum(sent) > 0:
         return None
     return float(energy["emitted_w"] / sum(sent))
 
@@ -308,13 +312,16 @@ def _closed_in_white(scene, white):
 def _works(lamp):
     numbers = np.concatenate([np.ravel(x) for x in (lamp.strength, lamp.position, lamp.axes, lamp.size)])
     numbers = np.append(numbers, [lamp.radius, lamp.angle, lamp.blend]).astype(float)
-    return bool(np.isfinite(numbers).all()) and np.abs(lamp.position).max() <= FARTHEST
+    near = np.abs(lamp.position).max() <= FARTHEST and np.abs(lamp.size).max() <= FARTHEST and lamp.radius <= FARTHEST
+    return bool(np.isfinite(numbers).all()) and bool(near) and max(lamp.strength) <= BRIGHTEST
 
 
 def _shines(lamp, findings):
     """Whether a lamp can be used; if not, that is found."""
     if not _works(lamp):
-        findings.append(Finding(lamp.name, "a lamp with values that are not finite numbers", "it gives no light"))
+        findings.append(
+            Finding(lamp.name, "a lamp with values that are no numbers, or beyond all measure", "it gives no light")
+        )
         return False
     if min(lamp.strength) < 0:
         findings.append(Finding(lamp.name, "a lamp of negative strength", "it gives no light"))
@@ -330,8 +337,8 @@ def _bounded(scene, k, findings):
         values = np.asarray(getattr(material, name), float)
         good = np.where(np.isnan(values), 0.0, np.maximum(values, 0.0))
         if name == "exitance":
-            good = np.where(np.isfinite(good), good, 0.0)
-        good = np.minimum(good, 1e30)
+            good = np.where(good <= BRIGHTEST, good, 0.0)
+        good = np.minimum(good, BRIGHTEST)
         if not np.array_equal(good, values):
             fixed[name] = tuple(map(float, good))
     if not 0.0 <= material.alpha <= 1.0:
@@ -348,7 +355,7 @@ def _bounded(scene, k, findings):
 def _clear(world, findings):
     """The world, black in channels that are negative or not finite."""
     radiance = np.asarray(world.radiance if world.map is None else world.map, float)
-    good = np.where(np.isfinite(radiance), np.maximum(radiance, 0.0), 0.0)
+    good = np.where(radiance <= BRIGHTEST, np.maximum(radiance, 0.0), 0.0)
     if np.array_equal(good, radiance):
         return world
     findings.append(Finding("world", "its light is negative or not a finite number", "0 was taken"))

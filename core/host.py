@@ -32,6 +32,7 @@ BLOCK = 1 << 16  # rays of the rows that a solver step gathers over at a time: t
 KRYLOV = 8  # directions that the solve combines at a time
 LEAST_COVERAGE = 1e-3  # of a patch, which keeps its irradiance finite
 SWEEPS = 2000  # of the solve, at most
+MOST_ROWS = 30  # rows that are found of each side in the mean, where memory holds only few of them; then it ends
 
 
 @dataclass(frozen=True)
@@ -439,7 +440,12 @@ def solve(patches, surfaces, sky, cells, settings, survey=None):
     while not settled:
         # Fill the pipeline with the brightest sides that have no row yet.
         inside, outside = state.missing()
-        while len(in_flight) < LAG and outside > target / 2 and len(batch := state.pick(taken)):
+        while (
+            len(in_flight) < LAG
+            and outside > target / 2
+            and shots < MOST_ROWS * count
+            and len(batch := state.pick(taken))
+        ):
             taken[batch] = True
             batch = costliest_first(batch, patches, settings)
             in_flight.append((batch, submit_rows(cells, batch, settings)))
@@ -454,7 +460,7 @@ def solve(patches, surfaces, sky, cells, settings, survey=None):
             irradiance, more, inside = state.settle(target)
             sweeps += more
             _, outside = state.missing()
-            settled = outside <= target / 2 or not len(state.pick(taken))
+            settled = outside <= target / 2 or shots >= MOST_ROWS * count or not len(state.pick(taken))
         rounds.append(round_of(state, rounds, inside + outside, shots, begun))
         yield rounds[-1]
     return Solution(

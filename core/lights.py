@@ -62,7 +62,8 @@ class Sources:
 
     def only(self, chosen):
         """The Sources that are chosen, (S,) bool."""
-        return _joined([self._one(s) for s in np.flatnonzero(chosen)])
+        joined = _joined([self._one(s) for s in np.flatnonzero(chosen)])
+        return replace(joined, strength=self.strength[chosen])  # of none, too, there are as many channels
 
     def _one(self, s):
         alone = {f.name: getattr(self, f.name)[s : s + 1] for f in fields(self)}

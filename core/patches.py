@@ -20,7 +20,7 @@ import numpy as np
 
 from .polygons import clip_polygons
 from .sampling import scatter
-from .scene import newell_normals
+from .scene import LEAST_AREA, newell_normals
 from .vectors import counted, cross, dot, length, unit
 
 CELL = np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)])  # corners of a cell
@@ -79,6 +79,8 @@ def make_patches(scene, edge=None):
     cell = np.concatenate([first[leader[p.facet]] + p.cell for p in pieces])
     frame = np.concatenate([p.frame for p in pieces])
     square = np.concatenate([p.square for p in pieces])
+    solid = length(cross(frame[:, 1], frame[:, 2])) > LEAST_AREA
+    cell, frame, square = cell[solid], frame[solid], square[solid]
 
     # The cells that hold an element are the patches, in order.
     held, patch = np.unique(cell, return_inverse=True)
@@ -445,7 +447,8 @@ def _patch_of_cells(held, first, count):
     in its grid, or the first one of the grid."""
     patch = np.searchsorted(held, np.arange(count), side="right") - 1
     grid = np.searchsorted(first, np.arange(count), side="right") - 1
-    return np.maximum(patch, np.searchsorted(held, first)[grid]).astype(np.int32)
+    first_held = np.minimum(np.searchsorted(held, first), len(held) - 1)
+    return np.maximum(patch, first_held[grid]).astype(np.int32)
 
 
 def _sums(values, start):

@@ -15,6 +15,7 @@ import numpy as np
 from .vectors import counted, cross, length, unit
 
 BLACK = (0.0, 0.0, 0.0)
+LEAST_AREA = 1e-200  # [m^2]; of less, float64 cannot tell the middle
 
 
 @dataclass(frozen=True)
@@ -180,7 +181,7 @@ class Scene:
         """(T,) bool: triangles with finite vertices and an area."""
         finite = np.isfinite(self.vertices).all(axis=1)[self.triangles].all(axis=1)
         with np.errstate(invalid="ignore", over="ignore"):
-            return finite & (self.triangle_normal_area[1] > 0)
+            return finite & (self.triangle_normal_area[1] > LEAST_AREA)
 
     @cached_property
     def usable(self):

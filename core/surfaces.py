@@ -239,6 +239,6 @@ def _set_means(scene, patches, triangle, uv, values, result, weight=None):
 
 def _means(owner, values, weight, count):
     """(count, D) sums of values (S, D) over sums of weights (S,), by owner (S,); NaN where there is none."""
-    total = np.bincount(owner, weight, count)
+    total = np.bincount(owner, weight, count).astype(float)  # of nothing, counts are integers
     total[np.bincount(owner, minlength=count) == 0] = np.nan
     return np.stack([np.bincount(owner, column, count) for column in values.T], axis=1) / total[:, None]

@@ -65,13 +65,12 @@ def audit(baked):
     light = total(baked)
     assert np.isfinite(light).all()
     assert np.isfinite(baked.points.position).all()
-    mean = np.abs(light).mean() if light.size else 0.0
-    assert light.min(initial=0.0) >= -0.05 * mean  # the filter may undershoot a little beside an edge
+    assert light.min(initial=0.0) >= 0.0
     energy = baked.solution.energy
     assert all(np.isfinite(value) for value in energy.values())
     assert np.isfinite(baked.solution.bound)
     balance = energy["absorbed_w"] + energy["escaped_w"] + energy["unshot_w"]
-    np.testing.assert_allclose(balance, energy["emitted_w"], rtol=1e-9, atol=1e-300)
+    np.testing.assert_allclose(balance, energy["emitted_w"], rtol=1e-6, atol=1e-300)
 
 
 def gray(reflectance, exitance=0.0, name="gray"):

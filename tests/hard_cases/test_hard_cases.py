@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import large
 import light
 import pytest
 import shapes
@@ -9,7 +10,7 @@ from cases import CASES, Baker
 
 from cell_radiosity.core.cells import make_cells
 
-MODULES = (light, shapes)  # imported for the cases that they register
+MODULES = (large, light, shapes)  # imported for the cases that they register
 
 
 @pytest.fixture(scope="session")

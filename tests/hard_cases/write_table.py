@@ -13,6 +13,7 @@ from pathlib import Path
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE), str(HERE.parent)]
 
+import large  # noqa: E402, F401
 import light  # noqa: E402, F401
 import shapes  # noqa: E402, F401
 from cases import CASES, Baker  # noqa: E402

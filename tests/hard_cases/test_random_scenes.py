@@ -1,0 +1,56 @@
+"""Random broken scenes: each ends in finite light, in time, and leaves nothing behind."""
+
+from __future__ import annotations
+
+import faulthandler
+import warnings
+
+import numpy as np
+import pytest
+from cases import audit
+from random_scenes import random_scene, random_settings
+
+from cell_radiosity.core.cells import LocalCells
+
+from scenes import bake, run
+
+EACH = 50  # scenes of a test
+HANG = 600  # seconds for a test, after which the run ends and says where it was
+FOUND = (25, 43, 44, 74, 121, 137, 176, 439, 612, 1023, 1039, 1084)  # scenes that once came to grief
+
+
+def bake_random(seed):
+    scene = random_scene(seed)
+    before = scene.vertices.copy()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        baked = run(bake(scene, random_settings(seed, scene), LocalCells()))
+    audit(baked)
+    np.testing.assert_array_equal(scene.vertices, before)  # the input is as it was
+    written = scene.written[baked.points.object]
+    assert written.all()
+
+
+@pytest.fixture(autouse=True)
+def watched():
+    faulthandler.dump_traceback_later(HANG, exit=True)
+    yield
+    faulthandler.cancel_dump_traceback_later()
+
+
+@pytest.mark.parametrize("first", range(0, 300, EACH))
+def test_random_scenes(first):
+    for seed in range(first, first + EACH):
+        bake_random(seed)
+
+
+@pytest.mark.parametrize("seed", FOUND)
+def test_random_scene_that_failed_once(seed):
+    bake_random(seed)
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize("first", range(1000, 11_000, 500))
+def test_many_random_scenes(first):
+    for seed in range(first, first + 500):
+        bake_random(seed)
