@@ -175,11 +175,11 @@ def random_settings(seed, scene):
     a few dark faces."""
     chance = Chance((seed, 1))
     most = max(np.nanmax(np.abs(np.add(m.reflectance, m.translucency))) for m in scene.materials)
-    paper = chance.happens(0.3) and len(scene.triangles) < 60 and most < 0.7 and not scene.textures
+    paper = chance.happens(0.3) and len(scene.triangles) < 20 and most < 0.7 and not scene.textures
     return Settings(
         error=chance.pick((0.3, 0.1, 0.02)), seed=int(chance.random.integers(0, 100)),
-        patch_edge=None if paper else chance.pick((None, 0.3, 0.1, 0.1)), row_rays=int(chance.pick((4, 8))),
+        patch_edge=None if paper else chance.pick((None, 0.3, 0.15, 0.15)), row_rays=int(chance.pick((4, 8))),
         gather_rays=int(chance.pick((4, 16))), side=chance.pick(("front", "back", "lit")),
         schedule="paper" if paper else "dynamic", rows=chance.pick(("rays", "analytic")) if paper else "rays",
-        memory=chance.pick((2e9, 2e9, 1e6)), force=EFFECTS if chance.happens(0.1) else (),
+        memory=chance.pick((2e9, 2e9, 1e7)), force=EFFECTS if chance.happens(0.1) else (),
     )  # fmt: skip
