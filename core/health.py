@@ -82,7 +82,9 @@ def direct_check(scene, solution):
     energy = solution.energy
     glowing = np.array([max(m.exitance) > 0 for m in scene.materials], bool)[scene.polygon_material].any()
     sent = [_sent(lamp) for lamp in scene.lamps if max(lamp.strength) > 0]
-    if glowing or scene.world.brightest > 0 or None in sent or energy["escaped_w"] > 0 or not sum(sent) > 0:
+    # Where nothing was shot, nothing has been seen to escape: that the scene is closed is not known then.
+    unknown = not solution.rounds or not solution.rounds[-1].shots or energy["escaped_w"] > 0
+    if unknown or glowing or scene.world.brightest > 0 or None in sent or not sum(sent) > 0:
         return None
     return float(energy["emitted_w"] / sum(sent))
 
