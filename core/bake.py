@@ -9,10 +9,12 @@ from time import perf_counter, process_time
 
 import numpy as np
 
+from .accuracy import CROWDED, ENOUGH, Estimate, estimate_error, rays_wanted
 from .cells import peak_memory
 from .contacts import cut_contacts
+from .control import Control, draw_control
 from .effects import Survey, simplified, survey
-from .gather import Light, gather
+from .gather import Gathering, Light, light_arrays, patch_light, sides_of
 from .groups import Groups, make_groups, weighted
 from .health import mend
 from .host import Solution, solve
@@ -30,11 +32,17 @@ from .surfaces import make_surfaces
 
 ROUGH_RAYS = 32  # of a point, to tell where a mesh must be finer
 EASED, EASED_FINE = 4.0, 2.0  # times the length of patches where nothing casts a shadow; the latter below 1 % error
+PILOT = 2  # replicates of the pilot: how they scatter shows their noise
+CONTROL_POINTS = 320
+CONTROL_RAYS = 64  # of each truth at first
+MOST_CONTROL_RAYS = 1024
+UNSURE = 0.3  # of the square of the error asked for: a doubt above that asks for more control rays
+HELP = 0.8  # of its doubt may be left after twice as many control rays; with more they are of no use
 
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a bake stands. phase: "survey", "patches", "transport" or "gather". done: share of the phase, 0..1. round, bound: of
+    """Where a bake stands. phase: "survey", "patches", "transport", "gather" or "error". done: share of the phase, 0..1. round, bound: of
     the transport. points: gathered so far. rays: cast so far. seconds: since the bake began. left: seconds, a guess.
     error: estimated so far. take(): the Bake as it stands, as long as it has not gone on; None before there is light."""
 
@@ -52,9 +60,10 @@ class Progress:
 
 @dataclass(frozen=True)
 class Bake:
-    """A finished bake: every record of its path, seconds by phase, CPU seconds, and what the cells used. groups: light
-    groups, if they were asked for, and by_group: a Light with a channel for each group's.
-    openness: (P,) 1 less ambient occlusion, if it was asked for."""
+    """A finished bake, or one as it stands: every record of its path, seconds by phase, CPU seconds, and what the cells
+    used. estimate: of its error. converged: the error asked for was reached. floor: it was reached by the cheapest way.
+    groups: light groups, if they were asked for, and by_group: a Light with a channel for each group's. openness: (P,) 1
+    less ambient occlusion, if it was asked for."""
 
     scene: Scene
     settings: Settings
@@ -63,6 +72,9 @@ class Bake:
     points: Points
     solution: Solution
     light: Light
+    estimate: Estimate | None = None
+    converged: bool = False
+    floor: bool = False
     seconds: dict = field(default_factory=dict)
     rays: int = 0
     cells: dict = field(default_factory=dict)
@@ -77,97 +89,233 @@ def bake(scene, settings, cells, place=None, group_of=None):
     the scene's corners; light: generator function of Points, that returns (P,) what they get, roughly. group_of: the light
     group of a lamp's or object's name, see groups.make_groups; None keeps no groups."""
     try:
-        return (yield from _bake(scene, settings, cells, place, group_of))
+        course = _Course(scene, settings, cells, place, group_of)
+        yield from course.transport()
+        yield from course.pilot()
+        while more := course.rays_wanted():
+            yield from course.gather(more)
+            yield from course.look()
+        yield from course.finish()
+        course.clock.lap("gather")
+        return course.result()
     finally:
         cells.clear()
 
 
-def _bake(scene, settings, cells, place, group_of):
-    clock = _Clock(cells)
-    scene = mend(scene)
-    found = survey(scene, settings, cells)
-    clock.lap("survey")
-    yield Progress("survey", 1.0, clock.total())
+class _Course:
+    """A bake under way: the records of its path as far as they are made."""
 
-    settings = _eased(settings, found)
-    edge = None if settings.patch_edge is None else settings.patch_edge * scene.diagonal
-    patches = make_patches(scene, edge)
-    world = scene.world if found.needs("sky") else World()
-    sky, _ = split_sky(world)
-    sources, sampled = make_sources(replace(scene, world=world))
-    if not found.needs("color"):
-        sources = sources.one_channel()
-    groups = make_groups(scene, group_of, emitting_polygons(scene)) if group_of else None
-    ungrouped, sources = sources, groups.of_sources(sources) if groups else sources
-    cells.start(transport_arrays(patches, sources, found.needs("occlusion"), len(sky)))
-    # Patches that are to be the mesh's own polygons stay what they are.
-    if edge is not None and found.needs("occlusion"):
-        patches = cut_contacts(scene, patches, cells)
-    surfaces, sky = _surfaces(scene, patches, sampled, found, np.pi * sky.T)
-    if groups:
-        owner = scene.polygon_object[patches.polygon]
-        _, surfaces, sky = groups.apart(ungrouped, surfaces, sky, owner)
-    if surfaces.coverage is not None:
-        cells.start({"alpha.coverage": surfaces.coverage[::2]})
-    clock.lap("patches")
-    yield Progress("patches", 1.0, clock.total())
+    def __init__(self, scene, settings, cells, place, group_of):
+        self.cells, self._place, self._group_of = cells, place, group_of
+        self.clock = _Clock(cells)
+        self.scene = self.written = mend(scene)
+        self.survey = survey(self.scene, settings, cells)
+        self.settings = _eased(settings, self.survey)
+        self.points = self.side = self.groups = self.gathering = self.control = self.estimate = self.openness = None
+        self.clock.lap("survey")
 
-    if settings.schedule == "paper":
-        solving = solve_paper(patches, surfaces, sources, sky, cells, settings)
-    else:
-        solving = solve(patches, surfaces, sky, cells, settings, found)
-    solution = yield from _each(solving, lambda r: _of_round(r, settings, clock))
-    clock.lap("transport")
+    def transport(self):
+        """Phase 1: patches, and the radiosity of their sides."""
+        scene, settings, cells, found = self.scene, self.settings, self.cells, self.survey
+        yield Progress("survey", 1.0, self.clock.total())
+        edge = None if settings.patch_edge is None else settings.patch_edge * scene.diagonal
+        patches = make_patches(scene, edge)
+        world = scene.world if found.needs("sky") else World()
+        sky, _ = split_sky(world)
+        sources, sampled = make_sources(replace(scene, world=world))
+        if not found.needs("color"):
+            sources = sources.one_channel()
+        ungrouped = sources
+        if self._group_of:
+            self.groups = make_groups(scene, self._group_of, emitting_polygons(scene))
+            sources = self.groups.of_sources(sources)
+        cells.start(transport_arrays(patches, sources, found.needs("occlusion"), len(sky)))
+        # Patches that are to be the mesh's own polygons stay what they are.
+        if edge is not None and found.needs("occlusion"):
+            patches = cut_contacts(scene, patches, cells)
+        surfaces, sky = _surfaces(scene, patches, sampled, found, np.pi * sky.T)
+        if self.groups:
+            _, surfaces, sky = self.groups.apart(ungrouped, surfaces, sky, scene.polygon_object[patches.polygon])
+        if surfaces.coverage is not None:
+            cells.start({"alpha.coverage": surfaces.coverage[::2]})
+        self.patches, self.surfaces, self.sky = patches, surfaces, sky
+        self.clock.lap("patches")
+        yield Progress("patches", 1.0, self.clock.total())
 
-    flipped = _flipped(scene, patches, solution, settings.side)
-    written = scene
-    if place:
+        if settings.schedule == "paper":
+            solving = solve_paper(patches, surfaces, sources, sky, cells, settings)
+        else:
+            solving = solve(patches, surfaces, sky, cells, settings, found)
+        self.solution = yield from _each(solving, self._of_round)
+        self.clock.lap("transport")
 
-        def rough_light(points):
-            rough = replace(settings, gather_rays=min(ROUGH_RAYS, settings.gather_rays))
-            light = gather(points, solution, surfaces, sky, scene.diagonal, cells, rough)
-            light = yield from _each(light, lambda done: _of_points(*done, clock))
-            return (light.direct + light.indirect).mean(axis=0)
+    def pilot(self):
+        """The first replicates at all points, and a first look at their error."""
+        yield from self._find_points()
+        self.gathering = self._gathering(self.points, self.side)
+        for _ in range(PILOT):
+            yield from self.gather(self.settings.pilot_rays)
+        if len(self.points):
+            drawn = draw_control(self.points, self._light().total, CONTROL_POINTS, False)
+            self.control = Control(*drawn, self.cells, self.settings, self._group_count)
+        yield from self.look()
+        self.clock.lap("survey")
 
-        written, points = yield from place(scene, flipped, cells, rough_light)
-    else:
-        points = make_points(scene, flipped, cells if found.needs("occlusion") else None)
-    gathering = gather(points, solution, surfaces, sky, scene.diagonal, cells, settings)
-    light = yield from _each(gathering, lambda done: _of_points(*done, clock))
-    light = refill(points, light)
-    openness = None
-    if settings.occlusion is not None:
-        finding = find_openness(points, settings.occlusion, cells, settings.seed)
-        openness = yield from _each(finding, lambda done: _of_points(*done, clock))
-    by_group = light
-    if groups:
-        light = weighted(light, groups)
-    clock.lap("gather")
-    thin = tuple(thin_findings(scene, points))
-    after = found.after(scene, patches, solution, settings.error, cells.note, thin)
-    return Bake(
-        written, settings, after, patches, points, solution, light,
-        seconds=clock.seconds(), rays=clock.rays(), cells=clock.cells(), groups=groups,
-        by_group=by_group if groups else None, openness=openness,
-    )  # fmt: skip
+    def _gathering(self, points, side):
+        """A Gathering at points, (P,) on patch sides."""
+        self.cells.start(light_arrays(points, self.solution, self.surfaces, self.sky))
+        return Gathering(points, patch_light(side, self.solution), self.cells, self.settings, self._group_count)
+
+    def gather(self, rays):
+        """Another replicate of the light at the points."""
+        yield from _each(self.gathering.gather(rays), self._of_points)
+
+    def look(self):
+        """Find the error as it stands; as much is spent on it as the error asked for needs."""
+        if self.control is None:
+            return
+        if not self.control.rays:
+            yield from _each(self.control.trace(CONTROL_RAYS), self._of_control)
+        self._estimate()
+        # More rays where the control itself is in doubt, as long as they help.
+        enough, doubt = UNSURE * self.settings.error**2, np.inf
+        settled = self.estimate.noise <= ENOUGH * self.settings.error
+        while settled and enough < self.estimate.doubt < HELP * doubt and self.control.rays < MOST_CONTROL_RAYS:
+            doubt = self.estimate.doubt
+            yield from _each(self.control.trace(self.control.rays), self._of_control)
+            self._estimate()
+
+    def _estimate(self):
+        free = self.gathering.closest > CROWDED
+        self.estimate = estimate_error(self.points, self._light(), self.control, free, self.solution.bound)
+
+    @property
+    def _group_count(self):
+        return len(self.groups.names) if self.groups else 1
+
+    def _light(self):
+        """The Light of all groups together, as it stands."""
+        light = self.gathering.light(self.scene.diagonal)
+        return weighted(light, self.groups) if self.groups else light
+
+    def rays_wanted(self):
+        """How many more rays a point needs, 0 if it has enough."""
+        if not len(self.points):
+            return 0
+        if self.settings.gather_rays is not None:
+            return max(self.settings.gather_rays - int(self.gathering.rays.max(initial=0)), 0)
+        if self.estimate is None:
+            return 0
+        return rays_wanted(self.estimate, self.gathering.weight, self.settings.error)
+
+    def result(self, solution=None):
+        """The Bake as it stands; solution: of a transport that is not at its end."""
+        if solution is None:
+            light = self.gathering.light(self.scene.diagonal)
+        else:
+            light = patch_light(self.side, solution)
+        points, solution, error = self.points, solution or self.solution, self.settings.error
+        reached = self.estimate is not None and self.estimate.total <= error
+        thin = tuple(thin_findings(self.scene, points))
+        light = by_group = refill(points, light)
+        return Bake(
+            self.written,
+            self.settings,
+            self.survey.after(self.scene, self.patches, solution, error, self.cells.note, thin),
+            self.patches,
+            points,
+            solution,
+            weighted(light, self.groups) if self.groups else light,
+            estimate=self.estimate,
+            converged=solution.converged and (reached or self.settings.gather_rays is not None),
+            floor=reached and len(self.gathering.replicates) <= PILOT,
+            seconds=self.clock.seconds(),
+            rays=self.clock.rays(),
+            cells=self.clock.cells(),
+            groups=self.groups,
+            by_group=by_group if self.groups else None,
+            openness=self.openness,
+        )
+
+    def finish(self):
+        """What is asked for beside the light."""
+        if self.settings.occlusion is not None:
+            finding = find_openness(self.points, self.settings.occlusion, self.cells, self.settings.seed)
+            self.openness = yield from _each(finding, lambda done: self._of_points(done[0]))
+
+    def _show_early(self):
+        """Make points to show the light of an unfinished transport at, if they can be known before its end."""
+        if self.points is None and not self._place and self.settings.side != "lit":
+            self.points, self.side = self._make_points(self.settings.side)
+
+    def _make_points(self, side):
+        cells = self.cells if self.survey.needs("occlusion") else None
+        points = make_points(self.scene, self._flipped(side), cells)
+        return points, sides_of(points, self.cells)
+
+    def _find_points(self):
+        """Make the points, if they are not there."""
+        if self._place:
+            flipped = self._flipped(self.settings.side)
+            self.written, self.points = yield from self._place(self.scene, flipped, self.cells, self._rough_light)
+            self.side = sides_of(self.points, self.cells)
+        elif self.points is None:
+            self.points, self.side = self._make_points(self.settings.side)
+
+    def _rough_light(self, points):
+        """(P,) what points get, roughly: a generator."""
+        gathering = self._gathering(points, sides_of(points, self.cells))
+        yield from _each(gathering.gather(ROUGH_RAYS), lambda done: self._of_points(done, len(points)))
+        return gathering.light(self.scene.diagonal).total.mean(axis=0)
+
+    def _flipped(self, side):
+        """(P,) bool: polygons whose back side's light is asked for."""
+        scene = self.scene
+        if side != "lit":
+            return np.full(len(scene.polygon_material), side == "back")
+        # The patch at the middle of every triangle tells which side of its polygon gets more.
+        triangle = np.flatnonzero(scene.usable)
+        third = np.full(len(triangle), 1 / 3, np.float32)
+        patch = patch_of_hit(self.patches, scene.vertices, scene.triangles, triangle, third, third)
+        light = (
+            self.solution.irradiance.sum(axis=0).reshape(-1, 2)[patch] * scene.triangle_normal_area[1][triangle, None]
+        )
+        polygon, count = scene.triangle_polygon[triangle], len(scene.polygon_material)
+        front, back = (np.bincount(polygon, light[:, k], count) for k in range(2))
+        return back > front
+
+    def _of_round(self, done):
+        """Progress of the transport: the bound falls about evenly in its logarithm."""
+        share = min(log(max(done.bound, 1e-12)) / log(self.settings.error / 10), 1.0) if done.bound < 1 else 0.0
+        clock, take = self.clock, None
+        self._show_early()
+        if self.points is not None:
+            take = lambda: self.result(done.solution())
+        return Progress("transport", float(share), clock.total(), clock.rays(), done.number, done.bound, take=take)
+
+    def _of_points(self, done, count=None):
+        """Progress of the gather, with a guess at the seconds left."""
+        share, clock = done / max(count or len(self.points), 1), self.clock
+        left = clock.since_lap() * (1 - share) / max(share, 1e-9)
+        return Progress(
+            "gather", share, clock.total(), clock.rays(), points=done, left=left,
+            error=self.estimate and self.estimate.total, take=self.gathering and self.result,
+        )  # fmt: skip
+
+    def _of_control(self, share):
+        return Progress("error", share, self.clock.total(), self.clock.rays(), take=self.result)
 
 
 def _eased(settings, found):
     """Settings for a room in which nothing casts a shadow, unless patches were asked for: light then varies as slowly as
-    the room is wide, so patches several times as long, with rows of twice the rays, do as well, and fewer gather rays,
-    whose noise the filter spreads over more points."""
+    the room is wide, so patches several times as long, with rows of twice the rays, do as well."""
     usual = Settings.for_error(settings.error)
     if any(found.needs(name) for name in ("occlusion", "sky", "textures", "transparency")):
         return settings
     if settings.patch_edge != usual.patch_edge or settings.rows != "rays":
         return settings
     longer = EASED if settings.error >= 0.01 else EASED_FINE
-    return replace(
-        settings,
-        patch_edge=longer * settings.patch_edge,
-        row_rays=2 * settings.row_rays,
-        gather_rays=max(int(settings.gather_rays / longer), 8),
-    )
+    return replace(settings, patch_edge=longer * settings.patch_edge, row_rays=2 * settings.row_rays)
 
 
 def _surfaces(scene, patches, sampled, found, sky):
@@ -203,38 +351,6 @@ def _each(generator, progress):
         yield progress(item)
 
 
-def _of_round(done, settings, clock):
-    """Progress of the transport: the bound falls about evenly in its logarithm."""
-    share = min(log(max(done.bound, 1e-12)) / log(settings.error / 10), 1.0) if done.bound < 1 else 0.0
-    return Progress("transport", float(share), clock.total(), clock.rays(), done.number, done.bound)
-
-
-def _of_points(points, count, clock):
-    """Progress of the gather, with a guess at the seconds left."""
-    share = points / max(count, 1)
-    spent = clock.since_lap()
-    return Progress(
-        "gather", share, clock.total(), clock.rays(), points=points, left=spent * (1 - share) / max(share, 1e-9)
-    )
-
-
-def _flipped(scene, patches, solution, side):
-    """(P,) bool: polygons whose back side's light is asked for."""
-    if side == "front":
-        return np.zeros(len(scene.polygon_material), bool)
-    if side == "back":
-        return np.ones(len(scene.polygon_material), bool)
-    # The patch at the middle of every triangle tells which side of its polygon gets more.
-    triangle = np.flatnonzero(scene.usable)
-    third = np.full(len(triangle), 1 / 3, np.float32)
-    patch = patch_of_hit(patches, scene.vertices, scene.triangles, triangle, third, third)
-    light = solution.irradiance.sum(axis=0).reshape(-1, 2)[patch] * scene.triangle_normal_area[1][triangle, None]
-    front, back = (
-        np.bincount(scene.triangle_polygon[triangle], light[:, k], len(scene.polygon_material)) for k in range(2)
-    )
-    return back > front
-
-
 class _Clock:
     """Wall and CPU seconds of the phases of one bake, and what its cells used, which may have worked before."""
 
@@ -246,8 +362,9 @@ class _Clock:
         self._phases = {}
 
     def lap(self, phase):
+        """Add the time since the last lap to a phase."""
         now = perf_counter()
-        self._phases[phase], self._lap = now - self._lap, now
+        self._phases[phase], self._lap = self._phases.get(phase, 0.0) + now - self._lap, now
 
     def total(self):
         return perf_counter() - self._begun

@@ -2,7 +2,7 @@
 replayed beyond.
 
 The replay runs the same schedule code against task times measured on one cell; it is labeled as such everywhere.
-Seconds are those of transport and gather together, with the cells running.
+Seconds are those of survey (with the pilot), transport and gather together, with the cells running.
 """
 
 from __future__ import annotations
@@ -71,7 +71,8 @@ def measured(scene, settings, count, cells=None):
     finally:
         if cells is None:
             made.stop()
-    return _run(result, count, "measured", result.seconds["transport"] + result.seconds["gather"], busy, None)
+    seconds = sum(result.seconds[phase] for phase in ("survey", "transport", "gather"))
+    return _run(result, count, "measured", seconds, busy, None)
 
 
 def replayed(scene, settings, count, times, message):

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .anew import read_light
 from .kernel import blocks
 from .lights import FLAT, test_rays, unoccluded
 from .records import to_arrays
@@ -21,156 +22,324 @@ TASK_RAYS = 1 << 15  # of one task: some 10 ms
 TABLES = 64  # direction tables, each turned by a step of its own; a point's shift picks one
 APART = (0.41421356237309503, 0.7320508075688772)  # steps from point to point of the test rays' shifts
 GATHER, TEST = 3, 4  # salts of the sample sequences
+REPLICATES = 12  # with steps of their own
+SEEDS = 1 << 20  # between the seeds of replicates
 
 TESTS = 4  # test rays toward a source, before it is known whether it is partly hidden
+UNLIKE = 6  # times as many where the source does not shine in all directions alike
 PENUMBRA = 1.5  # more test rays where it is, as a multiple of the gather rays
 DIM = 0.02  # a point that gets less than this share of its unoccluded light is tested DIM_TESTS times more
 DIM_TESTS = 16
 
+PARTS = ("direct", "found", "reflected")  # of a point's light
+
 STEPS = 4  # diffusion steps of the filter
 REACH = 0.4  # of the filter, in harmonic mean free distances, at 64 gather rays
+NEARBY = 8  # steps along edges over which noise is compared
+CHANCE = 2.0  # times the noise: a change by the filter up to that is taken as noise (undoing less would not pay)
 SMOOTH = 0.9510565162951535  # cosine of 18 degrees: the largest turn between points that the filter mixes
 
 
 @dataclass(frozen=True)
 class Light:
     """Irradiance at P points [W/m^2], a row per color channel: direct (C, P) straight from sources, indirect (C, P)
-    reflected at least once."""
+    reflected at least once; with light groups a row for each group's channels. variance: (C, P) of their sum over all groups, as the scatter between replicates shows it; 0 where nothing
+    is known. blurred: (P,) square of what the filter does to the light itself, all channels together, so that
+    its mean over many points is right (it may be negative at some). done: (P,) bool, the points that were gathered; the others have their patches' light.
+    """
 
     direct: np.ndarray
     indirect: np.ndarray
+    variance: np.ndarray
+    blurred: np.ndarray
+    done: np.ndarray
+
+    @property
+    def total(self):
+        """(C, P) all light that arrives."""
+        return self.direct + self.indirect
 
 
-def gather(points, solution, surfaces, sky, diagonal, cells, settings):
-    """Find the Light at points: a generator that yields (points done, all points) and returns the Light.
+@dataclass(frozen=True)
+class Replicate:
+    """One independent sample of the light at all points: weight (P,), 0 where it was not taken, and (C, P) float32 each,
+    direct light of sampled sources, light found by rays, and light reflected at least once [W/m^2]."""
 
-    sky: (C, M) exitance of the world, of each cell of its map [W/m^2]; diagonal: of the scene [m]. cells: started with `kernel.scene_arrays`.
+    weight: np.ndarray
+    direct: np.ndarray
+    found: np.ndarray
+    reflected: np.ndarray
+
+
+class Gathering:
+    """Light at points, gathered in replicates: independent samples of the same light, to which more can be added.
+
+    rays: (P,) gather rays so far. closest: (P,) the shortest way any of them went, in scene diagonals. Replicates of n rays count by n^1.5, as the variance of their lattices falls.
     """
+
+    def __init__(self, points, start, cells, settings, groups=1):
+        """start: the Light to show where nothing was gathered yet. cells: started with `light_arrays`. groups: number of
+        light groups, whose channels lie one after the other: noise is judged by their sum, so that they stay parts of it.
+        """
+        self.points, self.cells, self.settings, self._start, self._groups = points, cells, settings, start, groups
+        self.replicates = []
+        self.rays, self._nearness = np.zeros(len(points)), np.zeros(len(points))
+        self.closest = np.full(len(points), np.inf)
+        self._links = np.zeros(len(points.neighbor), bool)
+
+    @property
+    def weight(self):
+        """Of all replicates, at the point that has most."""
+        return float(sum(r.weight for r in self.replicates).max(initial=0.0))
+
+    def gather(self, rays, ids=None):
+        """Gather another replicate of `rays` rays at points ids (all): a generator that yields the number of points done.
+        What is done counts at once."""
+        points, first = self.points, not self.replicates
+        ids = np.arange(len(points), dtype=np.int32) if ids is None else ids.astype(np.int32)
+        size = max(TASK_RAYS // (rays + TESTS), 1)
+        parts = [ids[k : k + size] for k in range(0, len(ids), size)]
+        seed = self.settings.seed + SEEDS * len(self.replicates)
+        shape = self._start.direct.shape
+        replicate = Replicate(np.zeros(len(points)), *(np.zeros(shape, np.float32) for _ in PARTS))
+        self.replicates.append(replicate)
+        tasks = [self.cells.submit("gather", ids=part, rays=rays, seed=seed, links=int(first)) for part in parts]
+        done = 0
+        for part, task in zip(parts, tasks):
+            (result,) = self.cells.take([task])
+            for name in PARTS:
+                getattr(replicate, name)[:, part] = result[name]
+            self._nearness[part] += rays * result["nearness"]
+            self.closest[part] = np.minimum(self.closest[part], result["closest"])
+            if first:
+                begin, end = points.neighbor_start[[part[0], part[-1] + 1]]
+                self._links[begin:end] = result["links"]
+            replicate.weight[part] = rays * np.sqrt(rays)
+            self.rays[part] += rays
+            done += len(part)
+            yield done
+
+    def light(self, diagonal):
+        """The Light so far, filtered; diagonal: of the scene [m].
+
+        The filter is linear, so it can be applied to each replicate: how their results scatter shows the noise that is
+        left in the mean, filtered as it is.
+        """
+        done = self.rays > 0
+        if not done.any():
+            return self._start
+        links = self._links & np.repeat(done, np.diff(self.points.neighbor_start)) & done[self.points.neighbor]
+        share = np.sqrt(np.sqrt(ratio(64.0, self.rays)))
+        filter = _Filter(self.points, REACH * share * diagonal * ratio(self.rays, self._nearness), links)
+
+        weights = [r.weight for r in self.replicates]
+        whole = sum(weights)
+        direct, found, reflected = (
+            ratio(sum(r.weight * getattr(r, name) for r in self.replicates), whole) for name in PARTS
+        )
+        off = [np.where(r.weight > 0, r.found + r.reflected - found - reflected, 0.0) for r in self.replicates]
+        off = [self._together(noise) for noise in off]
+        trust, filtered, bias = _trust(filter, self._together(found + reflected), off, weights)
+        # Beside a steep edge what is smoothed can fall below 0.
+        found, reflected = (np.maximum(x + trust * (filter.smooth(x) - x), 0.0) for x in (found, reflected))
+
+        scatter = np.zeros_like(off[0])
+        for r, raw, smooth in zip(self.replicates, off, filtered):
+            scatter += r.weight * (self._together(r.direct - direct) + raw + trust * (smooth - raw)) ** 2
+        more = sum(r.weight > 0 for r in self.replicates) - 1
+        return Light(
+            np.where(done, direct + found, self._start.direct),
+            np.where(done, reflected, self._start.indirect),
+            ratio(scatter, whole * more),
+            trust * trust * bias,
+            done,
+        )
+
+    def _together(self, light):
+        """(C, P) light of all groups, of light (G C, P)."""
+        return light.reshape(self._groups, -1, light.shape[1]).sum(axis=0)
+
+
+def light_arrays(points, solution, surfaces, sky):
+    """The arrays that cells need to gather at points, as {name: array}. sky: (C, M) exitance of the
+    world, of each cell of its map [W/m^2]."""
     # What rays bring, with what comes from beyond last: reflected light, and light no sampled source stands for.
-    black = np.zeros_like(sky)
-    reflected, found = np.column_stack([solution.reflected, black]), np.column_stack([surfaces.found, sky])
+    reflected = np.column_stack([solution.reflected, np.zeros_like(sky)])
+    found = np.column_stack([surfaces.found, sky])
     nothing = np.zeros((len(sky), 0))
-    cells.start(
-        {
-            **to_arrays("points", points),
-            "gather.reflected": reflected if reflected.any() else nothing,
-            "gather.found": found if found.any() else nothing,
-        }
-    )
-    size = max(TASK_RAYS // (settings.gather_rays + TESTS), 1)
-    starts = range(0, len(points), size)
-    tasks = [
-        cells.submit("gather", start=k, stop=min(k + size, len(points)), rays=settings.gather_rays, seed=settings.seed)
-        for k in starts
-    ]
-    direct, indirect = np.zeros((len(sky), len(points))), np.zeros((len(sky), len(points)))
-    nearness, links = np.zeros(len(points)), []
-    for start, task in zip(starts, tasks):
-        (result,) = cells.take([task])
-        part = slice(start, start + len(result["nearness"]))
-        direct[:, part], indirect[:, part] = result["direct"], result["indirect"]
-        nearness[part] = result["nearness"]
-        links.append(result["links"])
-        yield part.stop, len(points)
-    reach = REACH * np.sqrt(np.sqrt(64 / settings.gather_rays)) * diagonal
-    links = np.concatenate([np.zeros(0, bool), *links])
-    return Light(direct, smooth(points, indirect, reach / np.maximum(nearness, 1e-9), links))
+    through = nothing
+    if surfaces.translucency.any():
+        through = solution.reflected - surfaces.reflectance * solution.irradiance
+    return {
+        **to_arrays("points", points),
+        "gather.reflected": reflected if reflected.any() else nothing,
+        "gather.reflectance": surfaces.reflectance,
+        "gather.through": through,
+        "gather.found": found if found.any() else nothing,
+    }
 
 
-def gather_points(kernel, start, stop, rays, seed):
-    """Light at points start to stop: "direct", "indirect" (C, K) [W/m^2]; "nearness" (K,), the mean inverse distance
-    that their rays went, in scene diagonals; "links" (E,) bool, which of their later neighbors they see along the edge.
-    """
+def gather_points(kernel, ids, rays, seed, links):
+    """Light at points ids (K,): "direct" of sampled sources, "found" by rays and "reflected", (C, K) [W/m^2];
+    "nearness" (K,), the mean inverse distance that their rays went, in scene diagonals; "closest" (K,), the shortest; if `links`, "links" (E,)
+    bool, which of their neighbors they see along the edge."""
     reflected, found = kernel.arrays["gather.reflected"], kernel.arrays["gather.found"]
-    direct = _direct(kernel, start, stop, rays, seed)
-    indirect, nearness = np.zeros_like(direct), np.zeros(stop - start)
+    count = kernel.sources.strength.shape[1]
+    result = {name: np.zeros((count, len(ids))) for name in PARTS}
+    result.update(nearness=np.zeros(len(ids)), closest=np.full(len(ids), np.inf))
+    result["direct"] = _direct(kernel, ids, rays, seed)
+    if links:
+        result["links"] = _links(kernel, ids)
     if not (reflected.size or found.size):
-        here, there = _pairs(kernel.points, start, stop)
-        links = np.zeros(int((here + start < there).sum()), bool)
-        return {"direct": direct, "indirect": indirect, "nearness": nearness, "links": links}
-    tables = _direction_tables(rays, seed)
-    for part in blocks(stop - start, rays):
-        ids = np.arange(start, stop)[part]
-        normal, geometric = kernel.points.normal[ids], kernel.points.geometric[ids]
-        origin = kernel.caster.start(kernel.points.position[ids], geometric)
-        directions = _world_rays(tables, ids, normal, seed)
-        side, _, distance = kernel.sides_hit(np.repeat(origin, rays, axis=0), directions.reshape(3, -1).T)
-        above = _above(directions, geometric) if (normal != geometric).any() else None
+        return result
+    tables = direction_tables(rays, seed)
+    for part in blocks(len(ids), rays):
+        normal, geometric = kernel.points.normal[ids[part]], kernel.points.geometric[ids[part]]
+        origin = kernel.caster.start(kernel.points.position[ids[part]], geometric)
+        directions = world_rays(tables, ids[part], normal, seed)
+        hit = kernel.hits(np.repeat(origin, rays, axis=0), directions.reshape(3, -1).T)
+        above = above_surface(directions, geometric) if (normal != geometric).any() else None
         if reflected.size:
-            indirect[:, part] = _mean_light(reflected, side, rays, above)
+            result["reflected"][:, part] = _mean(read_light(reflected, hit.side), rays, above)
         if found.size:
-            direct[:, part] += _mean_light(found, side, rays, above)
-        near = 1.0 / np.maximum(distance, 1e-6).astype(float)
-        nearness[part] = np.einsum("kn->k", near.reshape(-1, rays)) / rays
-    return {"direct": direct, "indirect": indirect, "nearness": nearness, "links": _links(kernel, start, stop)}
+            result["found"][:, part] = _mean(read_light(found, hit.side), rays, above)
+        near = 1.0 / np.maximum(hit.distance, 1e-6).astype(float)
+        result["nearness"][part] = np.einsum("kn->k", near.reshape(-1, rays)) / rays
+        result["closest"][part] = hit.distance.reshape(-1, rays).min(axis=1)
+    return result
 
 
-def _mean_light(light, side, rays, above):
-    """(C, K) mean of what light (C, 2 N + M) brings along the rays that met sides (K * n,); above: (K, n) bool, the
-    rays that count, or None for all."""
-    seen = (np.take(channel, side, mode="wrap").reshape(-1, rays) for channel in light)
+def find_sides(kernel, position, up):
+    """{"side": (K,) int32} the patch sides that places (K, 3), just above surfaces with normals (K, 3), lie on."""
+    hit = kernel.hits(kernel.caster.start(position, up), -up.astype(np.float32))
+    return {"side": hit.side}
+
+
+def sides_of(points, cells):
+    """(P,) int32 the patch side that each point lies on. cells: started with the arrays of transport."""
+    size = TASK_RAYS
+    parts = [slice(k, k + size) for k in range(0, len(points), size)]
+    tasks = [cells.submit("sides", position=points.position[p], up=points.geometric[p]) for p in parts]
+    return np.concatenate([np.zeros(0, np.int32), *(result["side"] for result in cells.take(tasks))])
+
+
+def patch_light(side, solution):
+    """The Light at points as the patch sides (P,) they lie on have it: what there is before anything is gathered."""
+    direct, none = solution.direct[:, side], np.zeros(len(side))
+    indirect = solution.irradiance[:, side] - direct
+    return Light(direct, indirect, np.zeros_like(direct), none, none > 0)
+
+
+def _mean(light, rays, above):
+    """(C, K) mean of the light (C, K * n) along rays; above: (K, n) bool, the rays that count, or None for all."""
+    light = light.reshape(len(light), -1, rays)
     if above is not None:
-        seen = (np.where(above, channel, 0.0) for channel in seen)
-    return np.stack([np.einsum("kn->k", channel) for channel in seen]) / rays
+        light = np.where(above, light, 0.0)
+    return np.einsum("ckn->ck", light) / rays
 
 
-def smooth(points, light, reach, links):
-    """Light (C, P) with its noise diffused over the mesh edges, by steps that bend with it.
+class _Filter:
+    """Diffusion of light over the mesh edges between P points, by steps that bend with it.
 
-    reach: (P,) how far light may be mixed [m]. links: (E,) bool, the edges (to later neighbors, in order) along which
-    nothing stands. Points whose normals differ by more than 18 degrees are not mixed. What the diffusion F does to the
-    light itself is undone in part: the result is 2 F - F F.
+    reach: (P,) how far light may be mixed [m]. links: (E,) bool, the edges (to neighbors, in order) along which nothing
+    stands. Points whose normals differ by more than 18 degrees are not mixed. All light is (K, P), a row per quantity.
     """
-    here, there = _pairs(points, 0, len(points))
-    later = here < there
-    here, there = here[later][links], there[later][links]
-    apart = points.position[here] - points.position[there]
-    distance = length(apart)
-    degree = np.maximum(np.diff(points.neighbor_start), 1)
-    share = np.minimum(reach[here], reach[there]) / np.maximum(distance, 1e-9 * np.maximum(reach[here], 1e-300))
-    weight = np.minimum(1.0, share * share / 4) / np.maximum(degree[here], degree[there])
-    weight[dot(points.normal[here], points.normal[there]) < SMOOTH] = 0.0
 
-    def diffuse(light):
+    def __init__(self, points, reach, links):
+        here, there = pairs(points, np.arange(len(points)))
+        joined = links & (dot(points.normal[here], points.normal[there]) >= SMOOTH)
+        here, self._there = here[joined], there[joined]
+        distance = length(points.position[here] - points.position[self._there])
+        degree = np.maximum(np.diff(points.neighbor_start), 1)
+        share = np.minimum(reach[here], reach[self._there])
+        share /= np.maximum(distance, 1e-9 * np.maximum(reach[here], 1e-300))
+        self._weight = np.minimum(1.0, share * share / 4) / np.maximum(degree[here], degree[self._there])
+        self._start = np.flatnonzero(np.append(True, here[1:] != here[:-1])) if len(here) else np.zeros(0, np.int64)
+        self._joined = here[self._start]
+        self._degree = np.diff(np.append(self._start, len(here)))
+        self._outflow = np.add.reduceat(self._weight, self._start) if len(here) else np.zeros(0)
+
+    def smooth(self, light):
+        """Light with its noise diffused. What the diffusion F does to the light itself is undone in part: 2 F - F F."""
+        once = self._diffuse(light)
+        return 2 * once - self._diffuse(once)
+
+    def local_mean(self, values):
+        """Values averaged with those of their neighbors, and theirs."""
+        for _ in range(NEARBY):
+            values = values.copy()
+            values[:, self._joined] += self._sums(values, 1.0)
+            values[:, self._joined] /= 1 + self._degree
+        return values
+
+    def _diffuse(self, light):
         for _ in range(STEPS):
-            flow = [weight * (channel[there] - channel[here]) for channel in light]
-            change = [np.bincount(here, f, len(points)) - np.bincount(there, f, len(points)) for f in flow]
-            light = light + np.stack(change)
+            flow = self._sums(light, self._weight) - self._outflow * light[:, self._joined]
+            light = light.copy()
+            light[:, self._joined] += flow
         return light
 
-    once = diffuse(light)
-    return np.maximum(2 * once - diffuse(once), 0.0)  # beside a steep edge the difference can fall below
+    def _sums(self, values, weight):
+        """(K, J) weighted sums over the neighbors of the points that have any."""
+        if not len(self._start):
+            return np.zeros((len(values), 0))
+        return np.add.reduceat(np.take(values, self._there, axis=1) * weight, self._start, axis=1)
 
 
-def _links(kernel, start, stop):
-    """(E,) bool: whether points start to stop see their neighbors with higher numbers, just above the surface."""
-    points = kernel.points
-    here, there = _pairs(points, start, stop)
-    here = here + start
-    here, there = here[here < there], there[here < there]
+def _trust(filter, light, off, weights):
+    """(P,) how far the filter is to be trusted at each point, 0..1: so that the error of what is filtered so far is least.
+
+    light: (C, P) unfiltered mean of replicates; off: R times (C, P), how far each is off it; weights: R times (P,).
+    With V the variance of the mean, V' of what is filtered of it and K what they have in common, and b what the filter
+    does to the light itself, the error of a filtered share a is (1 - a)^2 V + 2 a (1 - a) K + a^2 (V' + b^2). How much
+    more the filter changes than the noise explains, V - 2 K + V', shows b^2. All of them are means over neighbors.
+    """
+    whole = sum(weights)
+    count = sum(w > 0 for w in weights) - 1
+    if not count.any():  # one replicate alone shows no noise
+        return np.ones(len(whole)), off, np.zeros(len(whole))
+
+    def spread(values):
+        return sum(w * v for w, v in zip(weights, values))
+
+    filtered = [filter.smooth(o) for o in off]
+    change = ((filter.smooth(light) - light) ** 2).sum(axis=0)
+    own = spread((o * o).sum(axis=0) for o in off)
+    common = spread((o * f).sum(axis=0) for o, f in zip(off, filtered))
+    theirs = spread((f * f).sum(axis=0) for f in filtered)
+    parts = ratio(np.stack([own, common, theirs]), whole * count)
+    own, common, theirs, change = filter.local_mean(np.vstack([parts, change]))
+    noise = own - 2 * common + theirs
+    plain = noise + np.maximum(change - CHANCE * noise, 0.0)
+    return np.clip(ratio(own - common, plain), 0.0, 1.0), filtered, change - noise
+
+
+def _links(kernel, ids):
+    """(E,) bool: whether points ids see their neighbors, just above the surface. Both ends cast the same ray."""
+    here, there = pairs(kernel.points, ids)
     if not kernel.occluded:
         return np.ones(len(here), bool)
-    ends = [kernel.caster.start(points.position[k], points.geometric[k]) for k in (here, there)]
+    low, high = np.minimum(ids[here], there), np.maximum(ids[here], there)
+    ends = (kernel.caster.start(kernel.points.position[k], kernel.points.geometric[k]) for k in (low, high))
     return ~kernel.caster.blocked(*ends)
 
 
-def _direct(kernel, start, stop, rays, seed):
-    """(C, K) light of the sampled sources at points start to stop [W/m^2].
+def _direct(kernel, own, rays, seed):
+    """(C, K) light of the sampled sources at points own (K,), which are sorted [W/m^2].
 
-    All are tested a few times, with their neighbors outside the range; where a source is partly hidden, or hidden for
-    one point and not for the next, more test rays follow.
+    All are tested a few times, with their neighbors; where a source is partly hidden, or hidden for one point and not
+    for the next, more test rays follow.
     """
     points, sources = kernel.points, kernel.sources
     if not len(sources):
-        return np.zeros((sources.strength.shape[1], stop - start))
-    own = slice(start, stop)
+        return np.zeros((sources.strength.shape[1], len(own)))
     if not kernel.occluded and (points.normal[own] == points.geometric[own]).all():
         each = [unoccluded(sources, s, points.position[own], points.normal[own]) for s in range(len(sources))]
         return np.einsum("sk,sc->ck", np.stack(each), sources.strength)
-    here, there = _pairs(points, start, stop)
-    outside = np.unique(there[(there < start) | (there >= stop)])
-    ids = np.concatenate([np.arange(start, stop), outside])
-    there = np.where((there < start) | (there >= stop), stop - start + np.searchsorted(outside, there), there - start)
+    here, neighbor = pairs(points, own)
+    ids = np.concatenate([own, np.setdiff1d(neighbor, own)])
+    order = np.argsort(ids, kind="stable")
+    there = order[np.searchsorted(ids, neighbor, sorter=order)]
     position, normal, geometric = points.position[ids], points.normal[ids], points.geometric[ids]
     origin = kernel.caster.start(position, geometric)
 
@@ -189,7 +358,7 @@ def _direct(kernel, start, stop, rays, seed):
     for s in range(len(sources)):
         lit = np.flatnonzero(factor[:, s] > 0)
         if len(lit):
-            weight[lit, s], seen[lit, s] = test(s, lit, 0, np.full(len(lit), 1 if _sharp(kernel, s) else TESTS))
+            weight[lit, s], seen[lit, s] = test(s, lit, 0, np.full(len(lit), _tests(kernel, s)))
 
     # Where the light is partly hidden: more rays, by the source's share of what the point could get.
     possible = factor * sources.strength.max(axis=1)
@@ -202,14 +371,23 @@ def _direct(kernel, start, stop, rays, seed):
         differs = (state[here] != state[there]) & (state[here] >= 0) & (state[there] >= 0)
         mixed = (state == 2) | (np.bincount(here, differs, len(ids)) > 0)
         count = np.where(mixed, np.clip(PENUMBRA * rays * np.sqrt(share[:, s]), 4, 2 * PENUMBRA * rays), 0)
-        count = np.where(dim & (state >= 0), np.maximum(count, DIM_TESTS), count).astype(np.int64)
-        more = np.flatnonzero(count[: stop - start])
+        count = np.where(dim & (state >= 0), np.maximum(count, DIM_TESTS), count)
+        count = (count * (_tests(kernel, s) / TESTS)).astype(np.int64)
+        more = np.flatnonzero(count[: len(own)])
         if len(more):
-            extra = test(s, more, TESTS, count[more])
+            extra = test(s, more, _tests(kernel, s), count[more])
             weight[more, s] += extra[0]
             seen[more, s] += extra[1]
-    arriving = (factor * ratio(seen, weight))[: stop - start]
+    arriving = (factor * ratio(seen, weight))[: len(own)]
     return np.einsum("ks,sc->ck", arriving, sources.strength)
+
+
+def _tests(kernel, s):
+    """Test rays toward a source before anything is known. One that does not shine in all directions alike needs more of
+    them: the share that is visible is a ratio of sums of weights, which few very unlike weights bias."""
+    if _sharp(kernel, s):
+        return 1
+    return TESTS if kernel.sources.cone[s, 0] <= -1 else UNLIKE * TESTS
 
 
 def _sharp(kernel, s):
@@ -217,24 +395,33 @@ def _sharp(kernel, s):
     return kernel.sources.kind[s] != FLAT and kernel.sources.radius[s] == 0 and not kernel.caster.veiled
 
 
-def _pairs(points, start, stop):
-    """The points from start to stop, counted from 0 and repeated, and their neighbors: two (E,) arrays."""
-    runs = points.neighbor_start[start : stop + 1]
-    return np.repeat(np.arange(stop - start), np.diff(runs)), points.neighbor[runs[0] : runs[-1]]
+def pairs(points, ids):
+    """Points ids (K,), as rows 0 to K - 1, repeated, and their neighbors: two (E,) arrays."""
+    here, number = counted((points.neighbor_start[ids + 1] - points.neighbor_start[ids]).astype(np.int64))
+    return here, points.neighbor[points.neighbor_start[ids][here] + number]
 
 
-def _direction_tables(rays, seed):
-    """(TABLES, 3, rays) float32 cosine-distributed directions about +z, each table's lattice shifted on."""
+def direction_tables(rays, seed):
+    """(TABLES, 3, rays) float32 cosine-distributed directions about +z.
+
+    The golden-ratio lattice on the hemisphere's disk is a sunflower. From table to table each ray moves on within its own
+    ring, so that the sunflower keeps its shape: up to a quarter less noise than a shift that wraps around (measured).
+    """
     u, v = lattice(rays)
-    shift = (np.arange(TABLES) / TABLES + scatter(np.arange(1), GATHER + 8 * seed)) % 1.0
-    direction = hemisphere((u + shift[:, None]) % 1.0, np.broadcast_to(v, (TABLES, rays)))
+    shift = (np.arange(TABLES) / TABLES + scatter(np.arange(1), GATHER + 8 * seed))[:, None] % 1.0
+    direction = hemisphere(u + (shift - 0.5) / rays, np.broadcast_to(v, (TABLES, rays)))
     return np.ascontiguousarray(np.moveaxis(direction, -1, 1)).astype(np.float32)
 
 
-def _world_rays(tables, ids, normal, seed):
-    """Directions (3, K, n) float32 of the rays of points: a table for each point, turned about its normal."""
-    table = ((ids * R2[0]) % 1.0 * TABLES).astype(np.int64)
-    turn = 2 * np.pi * ((ids * R2[1] + scatter(np.arange(1), GATHER + 8 * seed + 4)) % 1.0)
+def world_rays(tables, ids, normal, seed):
+    """Directions (3, K, n) float32 of the rays of points: a table for each point, turned about its normal.
+
+    Tables and turns go through the points in steps that differ from replicate to replicate: with the same steps, two
+    replicates would differ by one and the same shift at all points, and their scatter would show one draw, not many.
+    """
+    place = np.asarray(ids, np.int64) * (1 + seed // SEEDS % REPLICATES)
+    table = ((place * R2[0]) % 1.0 * TABLES).astype(np.int64)
+    turn = 2 * np.pi * ((place * R2[1] + scatter(np.arange(1), GATHER + 8 * seed + 4)) % 1.0)
     t1, t2 = tangents(normal)
     cosine, sine = np.cos(turn)[:, None], np.sin(turn)[:, None]
     frame = np.stack([cosine * t1 + sine * t2, cosine * t2 - sine * t1, normal], axis=1).astype(np.float32)
@@ -247,7 +434,7 @@ def _world_rays(tables, ids, normal, seed):
     return directions
 
 
-def _above(directions, geometric):
+def above_surface(directions, geometric):
     """(K, n) bool: the rays (3, K, n) that leave above the surface itself."""
     g = geometric.astype(np.float32)
     return directions[0] * g[:, :1] + directions[1] * g[:, 1:2] + directions[2] * g[:, 2:] > 0

@@ -10,7 +10,8 @@ Source: Kunitani, Sato, Kondo, Shimada, "Parallel Processing of Reflex Action in
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from time import perf_counter
 
 import numpy as np
@@ -38,32 +39,37 @@ MOST_ROWS = 30  # rows that are found of each side in the mean, where memory hol
 @dataclass(frozen=True)
 class Round:
     """Where the solve stands: number of the round, unshot power and bound on the power still missing from the result,
-    both as shares of the power emitted; rows found so far (shots), and seconds since the start."""
+    both as shares of the power emitted; rows found so far (shots), and seconds since the start. solution(): the Solution
+    as it stands, as long as the solve has not gone on."""
 
     number: int
     unshot: float
     bound: float
     shots: int
     seconds: float
+    solution: Callable = field(default=None, repr=False, compare=False)
 
 
 def round_of(state, rounds, bound, shots, begun):
     """The Round after those of `rounds`, of a Transport."""
     unshot = float(np.abs(state.unshot.sum()) / max(state.emitted.sum(), 1e-300))
-    return Round(len(rounds) + 1, unshot, float(bound), shots, perf_counter() - begun)
+    found = Round(len(rounds) + 1, unshot, float(bound), shots, perf_counter() - begun)
+    return replace(found, solution=lambda: state.solution(state.arrived / state.area, (*rounds, found), 0, 0.0))
 
 
 @dataclass(frozen=True)
 class Solution:
     """What phase 1 found, (C, 2 N) per channel and side, in W/m^2.
 
-    reflected: light sent back or through, what gather rays read. irradiance: light arriving. rounds: tuple of Round.
+    reflected: light sent back or through, what gather rays read. irradiance: light arriving; direct: the part of it
+    from sampled sources. rounds: tuple of Round.
     sweeps: over all rows. bound: certified bound on the largest error of `irradiance`, as a share of its mean.
     energy: {name: W}, sums of the channels.
     """
 
     reflected: np.ndarray
     irradiance: np.ndarray
+    direct: np.ndarray
     rounds: tuple
     sweeps: int
     bound: float
@@ -329,6 +335,20 @@ class Transport:
         power = self._sums(self.own + self.first + self.ahead).sum(axis=0)
         return np.where(power > 0, power, max(power.sum(), 1e-300))
 
+    def solution(self, irradiance, rounds, sweeps, target):
+        """The Solution that an irradiance (C, 2 N) is, after some rounds; it has converged if the bound is below target."""
+        bound = rounds[-1].bound if rounds else float(sum(self.missing()))
+        return Solution(
+            reflected=self.surfaces.send(irradiance),
+            irradiance=irradiance,
+            direct=self.direct,
+            rounds=tuple(rounds),
+            sweeps=sweeps,
+            bound=bound,
+            converged=bound <= target,
+            energy=self.energy(),
+        )
+
     def energy(self):
         """{name: W} where the power has gone, sums of red, green and blue (one channel stands for all three)."""
         return {
@@ -463,15 +483,7 @@ def solve(patches, surfaces, sky, cells, settings, survey=None):
             settled = outside <= target / 2 or shots >= MOST_ROWS * count or not len(state.pick(taken))
         rounds.append(round_of(state, rounds, inside + outside, shots, begun))
         yield rounds[-1]
-    return Solution(
-        reflected=surfaces.send(irradiance),
-        irradiance=irradiance,
-        rounds=tuple(rounds),
-        sweeps=sweeps,
-        bound=rounds[-1].bound,
-        converged=rounds[-1].bound <= target,
-        energy=state.energy(),
-    )
+    return state.solution(irradiance, rounds, sweeps, target)
 
 
 def light_patches(cells, count, settings, sides=None):

@@ -7,6 +7,7 @@ from task to task, so a task may run twice, anywhere, in any order, with the sam
 from __future__ import annotations
 
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from .patches import Patches, patch_of_hit
 from .points import Points
 from .raycast import RayCaster
 from .records import from_arrays, to_arrays
+from .scene import normal_and_area
 from .sky import cells_of
 
 NONE = np.zeros(0)  # stands for an array that there is not: cells keep what they are not given anew
@@ -99,6 +101,11 @@ class Kernel:
         return from_arrays(Points, "points", self.arrays)
 
     @cached_property
+    def triangle_normal(self):
+        """(T, 3) unit normals of the scene's triangles."""
+        return normal_and_area(*np.moveaxis(self.vertices[self.triangles], 1, 0))[0]
+
+    @cached_property
     def element_corners(self):
         """Corners (M, 4, 3) of the patches' elements, a triangle's last one twice, and the patch (M,) of each."""
         p, a, b = np.moveaxis(self.patches.element_frame, 1, 0)
@@ -110,7 +117,7 @@ class Kernel:
         """A kernel with some arrays replaced; what was built from the others is kept."""
         kernel = Kernel({**self.arrays, **arrays})
         built = {
-            "caster": "scene.", "patches": "patches.", "element_corners": "patches.", "sources": "sources.",
+            "caster": "scene.", "triangle_normal": "scene.", "patches": "patches.", "element_corners": "patches.", "sources": "sources.",
             "points": "points.",
         }  # fmt: skip
         for name, prefix in built.items():
@@ -126,14 +133,25 @@ class Kernel:
         """(K,) int32 patches on which hits (triangle, u, v) of K rays fell."""
         return patch_of_hit(self.patches, self.vertices, self.triangles, triangle, u, v)
 
-    def sides_hit(self, origins, directions):
-        """What K rays meet first: side (K,) int32, 2 * patch + (1 on its back); where the ray escaped, the cell of the sky
-        that it went to less the number of cells, so that the last cell is -1; and the
-        triangle (K,), its distance (K,) in scene diagonals."""
+    def hits(self, origins, directions):
+        """What K rays meet first, as Hits."""
         triangle, u, v, distance, back = self.caster.hits(origins, directions)
         side = self.patch_hit(triangle, u, v)
         side *= 2
         side += back
         escaped = np.flatnonzero(triangle < 0)
         side[escaped] = -1 if self.sky_size == 1 else cells_of(directions[escaped], self.sky_size) - self.sky_size**2
-        return side, triangle, distance
+        return Hits(side, triangle, u, v, distance, back)
+
+
+class Hits(NamedTuple):
+    """What K rays meet first: side (K,) int32, 2 * patch + (1 on its back); where the ray escaped, the cell of the sky that
+    it went to less the number of cells, so that the last cell is -1. triangle (K,), -1 where it escaped, the place u, v
+    (K,) in it, the distance (K,) in scene diagonals, and whether it is the back (K,)."""
+
+    side: np.ndarray
+    triangle: np.ndarray
+    u: np.ndarray
+    v: np.ndarray
+    distance: np.ndarray
+    back: np.ndarray

@@ -87,6 +87,7 @@ def make_texels(scene, atlas, flipped, cells):
         position=position[order], normal=normal[order], geometric=geometric[order], area=area[order],
         object=scene.polygon_object[scene.triangle_polygon[triangle[order]]].astype(np.int32),
         neighbor_start=start, neighbor=neighbor, corner=none, corner_point=none, thin=np.zeros(len(order), bool),
+        smooth=np.ones(len(order), bool),
         row=row[order], weight=weight[order], image=own[0], column=own[2], line=own[1], moved=moved[order],
         hidden=int(len(open_) - len(order)),
     )  # fmt: skip

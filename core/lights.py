@@ -14,12 +14,13 @@ from .polygons import polygon_factor
 from .sampling import lattice, tangents
 from .scene import newell_normals
 from .sky import split_sky
-from .vectors import cross, dot, length, ratio, unit
+from .vectors import TINY, cross, dot, length, ratio, unit
 
 # Kinds of source: a flat polygon, a point or spot lamp, a sun, a group of bright directions of the sky.
 FLAT, BALL, SUN, SKY = 0, 1, 2, 3
 MOST_SOURCES = 32  # emitting faces beyond the strongest ones are found by the gather rays instead
 MOST_MERGED = 4096  # emitting polygons beyond this number are not merged into flat sources
+SLANT = 0.05  # least cosine that a flat source is picked with: its middle may be hidden by the horizon, its rim not
 NEAR = 0.08  # a patch is near a source if it reaches further than this share of the distance to it
 SHORT = 1 - 1e-5  # share of the way to a lamp that must be free: one that lies in a surface lights both of its sides
 PLACES = 144  # on a lamp of limited spread that its light is summed over
@@ -170,6 +171,21 @@ def unoccluded(sources, s, position, normal):
         else:
             factor[lit] *= _in_cone(sources, s, toward[lit])
     return factor
+
+
+def likely_light(sources, s, position, normal):
+    """(K,) roughly what source s may give points, to pick sources by; positive unless it can give nothing."""
+    strength = sources.strength[s].mean()
+    if sources.kind[s] != FLAT:
+        return strength * unoccluded(sources, s, position, normal) + TINY
+    toward = sources.position[s] - position
+    square = dot(toward, toward)
+    distance, area = np.sqrt(square), sources.area(s)
+    rise = np.maximum(ratio(dot(toward, normal), distance), SLANT)
+    tilt = ratio(-dot(toward, sources.direction[s]), distance)
+    tilt = np.abs(tilt) if sources.two_sided[s] else tilt
+    reach = np.pi * square + area
+    return np.where(tilt > -SLANT, strength * area * rise * np.maximum(tilt, SLANT) / reach, 0.0) + TINY
 
 
 def patch_irradiance(sources, caster, centroid, position, normal, a, b, occluded=True):

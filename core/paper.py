@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 from time import perf_counter
 
-from .host import Solution, Transport, light_patches, make_rows, round_of, submit_rows
+from .host import Transport, light_patches, make_rows, round_of, submit_rows
 from .records import to_arrays
 
 
@@ -37,13 +37,4 @@ def solve_paper(patches, surfaces, sources, sky, cells, settings):
         shots += len(batch)
         rounds.append(round_of(state, rounds, sum(state.missing()), shots, begun))
         yield rounds[-1]
-    irradiance = state.arrived / state.area
-    return Solution(
-        reflected=surfaces.send(irradiance),
-        irradiance=irradiance,
-        rounds=tuple(rounds),
-        sweeps=0,
-        bound=float(bound),
-        converged=bool(bound <= target),
-        energy=state.energy(),
-    )
+    return state.solution(state.arrived / state.area, rounds, 0, target)

@@ -25,6 +25,7 @@ PARTINGS = 4  # points into which surfaces may part the corners of one, less one
 LEVEL = 0.9510565162951535  # cosine of 18 degrees: faces that meet at more than that are not parted
 TASK_SEGMENTS = 1 << 15
 THIN = 1e-3  # a face less wide than this share of its length and of the scene's diagonal has no inside to stand on
+BENT = 0.9  # least cosine between a face and the mean of those at its vertex, where there is no crease
 SHARPEST = 0.1  # least cosine between a point's normal and a face that it is lifted out of
 
 
@@ -34,7 +35,7 @@ class Points:
 
     position: (P, 3) float64, where rays start but for the offset along `geometric`. normal: (P, 3) unit shading
     normals, the axis of the hemisphere. geometric: (P, 3) unit normals of the surface; light from below it counts as
-    none. area: (P,) [m^2]. object: (P,) int32. neighbor_start: (P + 1,) int32, neighbor: (E,) int32; the neighbors
+    none. area: (P,) [m^2]. object: (P,) int32. smooth: (P,) bool, not on a crease or an open edge. neighbor_start: (P + 1,) int32, neighbor: (E,) int32; the neighbors
     of point p, joined to it by a polygon's edge, are neighbor[neighbor_start[p] : neighbor_start[p + 1]].
     corner: (C,) int32 corners of the scene that are written. corner_point: (C,) int32 the point of each of them.
     """
@@ -44,6 +45,7 @@ class Points:
     geometric: np.ndarray
     area: np.ndarray
     object: np.ndarray
+    smooth: np.ndarray
     neighbor_start: np.ndarray
     neighbor: np.ndarray
     corner: np.ndarray
@@ -99,13 +101,14 @@ def make_points(scene, flipped=None, cells=None):
     order = morton_order(position)
     rank = np.empty(count, np.int64)
     rank[order] = np.arange(count)
-    neighbor_start, neighbor = _neighbors(scene, corner, polygon, rank[point], count)
+    neighbor_start, neighbor = _neighbors(scene, corner, rank[point], count)
     return Points(
         position=position[order],
         normal=normal[order],
         geometric=geometric[order],
         area=area[order],
         object=scene.polygon_object[polygon[first]][order],
+        smooth=_smooth(scene, face_normal)[vertex[first]][order],
         neighbor_start=neighbor_start,
         neighbor=neighbor,
         corner=corner.astype(np.int32),
@@ -230,12 +233,35 @@ def _lift(scene, move, point, geometric, facing):
     return lift[:, None] * geometric
 
 
-def _neighbors(scene, corner, polygon, point, count):
+def _smooth(scene, face_normal):
+    """(V,) bool: vertices whose faces bend little, and all of whose edges have a face on either side."""
+    count, vertex = len(scene.vertices), scene.corner_vertex
+    polygon = np.repeat(np.arange(len(face_normal)), np.diff(scene.polygon_start))
+    normal = face_normal[polygon]
+    mean = unit(np.stack([np.bincount(vertex, normal[:, k], count) for k in range(3)], axis=1))
+    flat = np.ones(count, bool)
+    flat[vertex[dot(normal, mean[vertex]) < BENT]] = False
+    following = vertex[_following(scene.polygon_start)]
+    edge = np.minimum(vertex, following) * np.int64(count) + np.maximum(vertex, following)
+    _, place, uses = np.unique(edge, return_index=True, return_counts=True)
+    rim = place[uses == 1]
+    flat[vertex[rim]] = flat[following[rim]] = False
+    return flat
+
+
+def _following(polygon_start):
+    """(C,) the corner that follows each corner in its polygon."""
+    following = np.arange(1, polygon_start[-1] + 1)
+    full = polygon_start[1:] > polygon_start[:-1]
+    following[polygon_start[1:][full] - 1] = polygon_start[:-1][full]
+    return following
+
+
+def _neighbors(scene, corner, point, count):
     """Where each point's neighbors start (P + 1,), and the neighbors (E,): points at the other ends of polygons' edges."""
     of_corner = np.full(len(scene.corner_vertex), -1, np.int64)
     of_corner[corner] = point
-    last = corner == scene.polygon_start[1:][polygon] - 1
-    following = of_corner[np.where(last, scene.polygon_start[:-1][polygon], corner + 1)]
+    following = of_corner[_following(scene.polygon_start)[corner]]
     here, there = np.concatenate([point, following]), np.concatenate([following, point])
     apart = here != there
     key = np.unique(here[apart] * max(count, 1) + there[apart])

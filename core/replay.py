@@ -81,7 +81,7 @@ class TaskTimes:
 
     def run(self, name, arguments):
         """(result, seconds, rays) of a task."""
-        parts = ("scene", "patches", "sources", "points", "gather")[: 5 if name == "gather" else 3]
+        parts = ("scene", "patches", "sources", "points", "gather")[: 5 if name in ("gather", "control") else 3]
         needs = tuple(d for k, d in sorted(self._digests.items()) if k.split(".")[0] in parts)
         key = (name, needs, *((k, _digest(v)) for k, v in sorted(arguments.items())))
         if key not in self._known:

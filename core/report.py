@@ -8,6 +8,8 @@ from __future__ import annotations
 import json
 import os
 
+import numpy as np
+
 from .health import direct_check
 
 _NUMBER = {"type": ["number", "null"]}
@@ -70,7 +72,6 @@ def make_report(bake, *, scene, version, layers, domain, start, read, write, lig
     """The report (a dictionary that fits SCHEMA) of a Bake. scene: its file; start, read, write: seconds."""
     solution, seconds, cells = bake.solution, bake.seconds, bake.cells
     phases = {k: seconds.get(k) for k in ("survey", "patches", "transport", "gather")}
-    counts = _points_by_object(bake)
     return {
         "scene": scene,
         "version": version,
@@ -83,7 +84,7 @@ def make_report(bake, *, scene, version, layers, domain, start, read, write, lig
         "peak_memory_mb": cells["host_mb"] + sum(cells["cells_mb"]),
         "memory": {"host_mb": cells["host_mb"], "cells_mb": cells["cells_mb"]},
         "cells_restarted": cells["restarted"],
-        "converged": solution.converged,
+        "converged": bake.converged,
         "seconds": {
             "start": start, "read": read, **phases, "write": write,
             "total": start + read + write + sum(v for v in phases.values() if v),
@@ -96,14 +97,11 @@ def make_report(bake, *, scene, version, layers, domain, start, read, write, lig
             "curve": [dict(seconds=r.seconds, unshot=r.unshot, bound=r.bound) for r in solution.rounds],
             "converged": solution.converged,
         },
-        "error": {
-            "requested": bake.settings.error, "estimated": None, "interior": None, "sampling": None, "patches": None,
-            "solve": solution.bound, "floor": None, "worst": None,
-        },
+        "error": _error(bake),
         "energy": {**solution.energy, "direct_check": direct_check(bake.scene, solution)},
         "price": [],
         "layers": list(layers),
-        "objects": [dict(name=n, points=c, domain=domain, error=None) for n, c in counts],
+        "objects": [dict(name=n, points=c, domain=domain, error=e) for n, c, e in _objects(bake)],
         "lightmaps": list(lightmaps),
     }  # fmt: skip
 
@@ -141,9 +139,24 @@ def write_json(report, path):
     os.replace(temporary, path)
 
 
-def _points_by_object(bake):
-    """(name, points) of each written object."""
-    count = [0] * len(bake.scene.objects)
-    for o in bake.points.object.tolist():
-        count[o] += 1
-    return [(name, n) for name, n, w in zip(bake.scene.objects, count, bake.scene.written) if w]
+def _error(bake):
+    """The report's part about the error."""
+    found, bound = bake.estimate, bake.solution.bound
+    error = dict.fromkeys(("estimated", "interior", "sampling", "patches", "worst"))
+    if found:
+        worst = found.worst()
+        error = dict(
+            estimated=found.total, interior=found.interior, sampling=found.sampling, patches=found.patches,
+            worst=worst and dict(object=bake.scene.objects[worst[0]], error=worst[1]),
+        )  # fmt: skip
+    return {"requested": bake.settings.error, **error, "solve": found.solve if found else bound, "floor": bake.floor}
+
+
+def _objects(bake):
+    """(name, points, error or None) of each written object."""
+    count = np.bincount(bake.points.object, minlength=len(bake.scene.objects))
+    errors = np.full(len(count), np.nan)
+    if bake.estimate:
+        errors[: len(bake.estimate.objects)] = bake.estimate.objects
+    errors = [None if np.isnan(e) else float(e) for e in errors]
+    return [x[:3] for x in zip(bake.scene.objects, map(int, count), errors, bake.scene.written) if x[3]]

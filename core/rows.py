@@ -36,8 +36,7 @@ def trace_rows(kernel, sides, rays, seed):
     """{"hits": (K, rays) int32} sides met by rays from patch sides (K,), -1 where a ray escaped."""
     hits = np.empty((len(sides), rays), np.int32)
     for part in blocks(len(sides), rays):
-        side, _, _ = kernel.sides_hit(*_row_rays(kernel, sides[part], rays, seed))
-        hits[part] = side.reshape(-1, rays)
+        hits[part] = kernel.hits(*_row_rays(kernel, sides[part], rays, seed)).side.reshape(-1, rays)
     return {"hits": hits}
 
 

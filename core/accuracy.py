@@ -1,0 +1,130 @@
+"""Accuracy: how far a bake is from the truth, and what it takes to come closer.
+
+Owns the record `Estimate`, the choice of how many more rays to gather, and the price list. The error of a bake is
+sqrt(sum A (I - I*)^2 / sum A I*^2), I the irradiance at the points, A their areas, I* the truth.
+
+Two sources feed the estimate. How replicates scatter shows their noise at every point. What replicates share (light
+that patches average away, rows that miss it, the filter) shows at the control points, whose light was traced anew:
+(B - C1)(B - C2) less the noise of B, with two truths C1 and C2 whose own noises cancel in the product.
+
+Choices depend on counts and variances alone, never on seconds, so that the same bake always makes the same ones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+
+from .vectors import ratio
+
+AIM = 0.75  # of the error asked for: where a bake steers to
+ENOUGH = 0.95  # of the error asked for: where it stops
+CROWDED = 1e-3  # of the scene's diagonal: a point so near another surface lies in a corner
+DOUBT = 0.5  # standard errors of what replicates share that are taken as chance
+CERTAIN = 2.0  # and those that must be, before rays are spent against it
+SMALL = 0.4  # noise of this share of what replicates share is as good as none
+MOST_RAYS = 4096  # of one replicate
+RARE = 1e-3  # objects darker than this share of the scene's mean are not looked at one by one
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """The error of a bake, as shares of its light (root mean square).
+
+    total: of all points but those that lie in a corner, which were moved out of it. interior: without those on a crease or
+    an open edge too. sampling, patches
+    and solve: the parts of the total, whose squares add up to its own. noise: the part of it that more rays take away,
+    the filter's blur with it. shared: the rest, as far as it is certain. doubt: standard error of
+    its square. objects: (O,) error of each object, NaN where it is too
+    dark or was not baked.
+    """
+
+    total: float = 0.0
+    interior: float = 0.0
+    sampling: float = 0.0
+    patches: float = 0.0
+    solve: float = 0.0
+    noise: float = 0.0
+    shared: float = 0.0
+    doubt: float = 0.0
+    objects: np.ndarray = None
+
+    def worst(self):
+        """(object, error) of the object that is furthest off, or None."""
+        if self.objects is None or np.isnan(self.objects).all():
+            return None
+        worst = int(np.nanargmax(self.objects))
+        return worst, float(self.objects[worst])
+
+
+def estimate_error(points, light, control, free, bound):
+    """The Estimate of a Light, from a traced Control. free: (P,) bool, points that do not lie in a corner; bound: certified,
+    of the solve."""
+    power = points.area * (light.total * light.total).sum(axis=0)
+    scatter = points.area * light.variance.sum(axis=0)
+    count = int(points.object.max(initial=-1)) + 1
+    if not power.sum() > 0:
+        return Estimate(objects=np.full(count, np.nan))
+    ids, weight = control.ids, control.weight
+    first, second = light.total[:, ids] - control.truth
+    blurred = points.area * light.blurred
+    shared = weight * ((first * second).sum(axis=0) - light.variance[:, ids].sum(axis=0))
+
+    def parts(chosen):
+        """Shares of the light's power: noise, what replicates share, and the standard error of that."""
+        whole, mine = max(power[chosen].sum(), 1e-300), shared * chosen[ids]
+        spread = len(ids) * (mine * mine).sum() - mine.sum() ** 2
+        doubt = np.sqrt(max(spread, 0.0) / max(len(ids) - 1, 1)) / whole
+        noise, blur = scatter[chosen].sum() / whole, max(blurred[chosen].sum() / whole, 0.0)
+        common = max(mine.sum() / whole - DOUBT * doubt, blur)
+        certain = max(mine.sum() / whole - CERTAIN * doubt - blur, 0.0)
+        return noise + common, noise + blur, certain, doubt
+
+    total, noise, certain, doubt = parts(free)
+    within = total
+    inside = free & points.smooth
+    if power[inside].sum() > 0:
+        within = parts(inside)[0]
+    averaged = (weight * free[ids] * (control.patches[0] * control.patches[1]).sum(axis=0)).sum() / max(power[free].sum(), 1e-300)
+    solve = min(bound * bound, total - noise)
+    patches = min(max(averaged, 0.0), total - noise - solve)
+    return Estimate(
+        *(float(np.sqrt(x)) for x in (total, within, total - patches - solve, patches, solve, noise, certain)),
+        float(doubt),
+        _of_objects(points, power, scatter + blurred, shared - weight * light.blurred[ids], ids, total - noise),
+    )
+
+
+def _of_objects(points, power, noise, shared, ids, common):
+    """(O,) error of each object. A few control points lie on each: what they show of it is mixed with what is known of
+    the whole, by their number."""
+    count = int(points.object.max()) + 1
+    own, area = np.bincount(points.object, power, count), np.bincount(points.object, points.area, count)
+    noise = ratio(np.bincount(points.object, noise, count), own)
+    number = np.bincount(points.object[ids], minlength=count)
+    seen = ratio(np.bincount(points.object[ids], shared, count), own)
+    trust = number / (number + 16.0)
+    error = np.sqrt(np.maximum(noise, 0.0) + np.maximum(trust * seen + (1 - trust) * common, 0.0))
+    mean = np.sqrt(ratio(own, area))
+    return np.where(mean > RARE * np.sqrt(power.sum() / points.area.sum()), error, np.nan)
+
+
+def rays_wanted(estimate, weight, error):
+    """How many rays another replicate should have to come to an error, 0 if it would be of no use.
+
+    weight: of the replicates so far, the sum of n^1.5 over their rays n, which is what a variance falls with. If what they
+    share is for certain so much that the error cannot be reached, the noise is made small beside it.
+    """
+    if estimate.total <= ENOUGH * error:
+        return 0
+    goal = max((AIM * error) ** 2 - estimate.shared**2, (SMALL * max(estimate.shared, error)) ** 2)
+    if estimate.noise**2 <= goal:
+        return 0
+    return rays_of_weight(weight * (estimate.noise**2 / goal - 1.0))
+
+
+def rays_of_weight(weight):
+    """The least number of rays n, 8 to MOST_RAYS, with n^1.5 of at least a weight."""
+    return next((n for n in range(8, MOST_RAYS) if n * sqrt(n) >= weight), MOST_RAYS)

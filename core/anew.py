@@ -1,0 +1,83 @@
+"""Light that a hit reflects, sampled anew: not as its patch has it, but as it is at that very place.
+
+A patch has one radiosity; where shadows and contacts are finer than it, rays that ask for the truth go on: with a test
+ray to one source, and one more ray, whose hit then reads the patches.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .lights import FLAT, likely_light, test_rays, unoccluded
+from .sampling import hemisphere, scatter, tangents
+from .vectors import dot
+
+ANEW = 6  # salt of the sample sequences
+CLOSE = 0.3  # a source that fills more than this share of a hemisphere's unit disk is close: its exact factor is taken
+
+
+def reflect_anew(kernel, hit, chosen, number, seed):
+    """(C, K) light [W/m^2] that the chosen hits (K,) of Hits reflect: of a source picked for each, and of one more ray.
+
+    number: (K,) a number of its own for each, from which its samples come.
+    """
+    triangle, back = hit.triangle[chosen], hit.back[chosen]
+    a, b, c = np.moveaxis(kernel.vertices[kernel.triangles[triangle]], 1, 0)
+    u, v = hit.u[chosen, None].astype(float), hit.v[chosen, None].astype(float)
+    position = a + u * (b - a) + v * (c - a)
+    normal = kernel.triangle_normal[triangle] * np.where(back, -1.0, 1.0)[:, None]
+    start = kernel.caster.start(position, normal)
+    x = [scatter(5 * number + k, ANEW + 8 * seed) for k in range(5)]
+
+    arriving = _one_source(kernel, position, normal, start, x[0], x[1], x[2])
+    local = hemisphere(x[3], x[4])
+    t1, t2 = tangents(normal)
+    direction = local[:, :1] * t1 + local[:, 1:2] * t2 + local[:, 2:] * normal
+    side = kernel.hits(start, direction.astype(np.float32)).side
+    for name in ("gather.reflected", "gather.found"):
+        arriving += read_light(kernel.arrays[name], side)
+    own = hit.side[chosen]
+    reflected = kernel.arrays["gather.reflectance"][:, own] * arriving
+    through = kernel.arrays["gather.through"]
+    return reflected + through[:, own] if through.size else reflected
+
+
+def _one_source(kernel, position, normal, start, pick, a, b):
+    """(C, K) direct irradiance at points (K, 3) [W/m^2] from one source each, picked by what it may give, over the
+    probability of the pick. pick, a, b: (K,) in [0, 1)."""
+    sources = kernel.sources
+    light = np.zeros((sources.strength.shape[1], len(position)))
+    if not len(sources):
+        return light
+    likely = np.stack([likely_light(sources, s, position, normal) for s in range(len(sources))])
+    upto = np.cumsum(likely, axis=0)
+    picked = (upto <= pick * upto[-1]).sum(axis=0)
+    for s in range(len(sources)):
+        mine = np.flatnonzero(picked == s)
+        if len(mine):
+            place, up = position[mine], normal[mine]
+            _weight, seen = test_rays(sources, s, kernel.caster, place, up, up, start[mine], a[mine], b[mine])
+            factor = _from_one_test(sources, s, place, up, seen)
+            light[:, mine] = sources.strength[s][:, None] * factor * upto[-1, mine] / likely[s, mine]
+    return light
+
+
+def _from_one_test(sources, s, position, normal, seen):
+    """(K,) irradiance per unit of strength from a test ray of weight `seen` (K,) to source s. From afar the place that
+    was tested stands for the whole source: shadow and distance keep their correlation."""
+    exact = unoccluded(sources, s, position, normal) * (seen > 0)
+    if sources.kind[s] != FLAT:
+        return exact
+    toward = position - sources.position[s]
+    height, area = dot(toward, sources.direction[s]), sources.area(s)
+    sampled = seen * np.abs(height) * area / np.pi
+    if not sources.two_sided[s]:
+        sampled = np.where(height > 0, sampled, 0.0)
+    return np.where(area < CLOSE * np.pi * dot(toward, toward), sampled, exact)
+
+
+def read_light(light, side):
+    """(C, K) light (C, 2 N + 1) of the sides (K,) that rays met; 0 where there is no such light at all."""
+    if not light.size:
+        return np.zeros((len(light), len(side)))
+    return np.stack([np.take(channel, side, mode="wrap") for channel in light])

@@ -1,0 +1,141 @@
+"""Control points: a few points of a bake gathered afresh, with far more rays and one bounce deeper, to see its error.
+
+Owns the drawing of control points and the cells' part of their truth. At a control point every ray goes on: where it
+meets a patch, the patch's own light is not read but sampled anew, by a test ray to a source and one more ray, whose hit
+then reads the patches. So the error that is found holds what the patches have averaged away and what their rows have
+missed, beside the noise and the filter of the bake. Two independent truths, whose noises cancel in their product.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .anew import read_light, reflect_anew
+from .gather import SEEDS, TASK_RAYS, above_surface, direction_tables, world_rays
+from .kernel import blocks
+from .lights import test_rays, unoccluded
+from .sampling import R2, scatter
+from .vectors import ratio
+
+CONTROL = 6  # salt of the sample sequences
+APART = 1 << 20  # seeds of control points are so far from those of the gather, in replicates
+DIRECT_TESTS = 64  # test rays to every source
+
+
+class Control:
+    """K control points, and truths of their light, as many as have been traced.
+
+    ids: (K,) points, sorted. weight: (K,) [m^2], so that sums of weight times a value estimate sums of area times it over
+    all points. truth: (2, C, K) two independent means of the light [W/m^2]; patches: (2, C, K) how much more the same
+    rays bring if they read the patches that they meet. rays: of each truth so far.
+    """
+
+    def __init__(self, ids, weight, cells, settings, groups=1):
+        """groups: number of light groups, whose light is put together."""
+        self.ids, self.weight, self._cells, self._settings, self._groups = ids, weight, cells, settings, groups
+        self.rays, self._rounds, self._sums = 0, 0, None
+
+    def trace(self, rays):
+        """Trace another `rays` rays of both truths at every point: a generator that yields after every task."""
+        size = max(TASK_RAYS // (3 * rays + DIRECT_TESTS), 1)
+        tasks = [
+            self._cells.submit(
+                "control", ids=self.ids[k : k + size], rays=rays, seed=self._settings.seed + SEEDS * (APART + seed)
+            )
+            for seed in (2 * self._rounds, 2 * self._rounds + 1)
+            for k in range(0, len(self.ids), size)
+        ]
+        results = []
+        for task in tasks:
+            results += self._cells.take([task])
+            yield len(results) / len(tasks)
+        sums = [
+            np.concatenate([result[name] for result in results], axis=1).reshape(-1, 2, len(self.ids))
+            for name in ("truth", "patches")
+        ]
+        sums = rays * np.moveaxis(np.stack(sums), 2, 1)  # (truth or patches, which of the two, C, K)
+        sums = sums.reshape(2, 2, self._groups, -1, len(self.ids)).sum(axis=2)
+        self._sums = sums if self._sums is None else self._sums + sums
+        self.rays += rays
+        self._rounds += 1
+
+    @property
+    def truth(self):
+        return self._sums[0] / self.rays
+
+    @property
+    def patches(self):
+        return self._sums[1] / self.rays
+
+
+def draw_control(points, light, count, per_object):
+    """Ids (K,) of control points, sorted, and their weights (K,) [m^2].
+
+    Drawn from a mixture: by area times light squared, which is what the error is made of; by area; and evenly over the
+    objects, so that a dark room is seen too. per_object: most of them evenly over the objects.
+    """
+    power = points.area * (light * light).sum(axis=0)
+    by_object = np.bincount(points.object, points.area)
+    share = points.area / by_object[points.object] / max(np.count_nonzero(by_object), 1)
+    mixture = (0.15, 0.15, 0.7) if per_object else (0.4, 0.3, 0.3)
+    density = np.zeros(len(points))
+    for part, values in zip(mixture, (power, points.area, share)):
+        density += part * values / max(values.sum(), 1e-300)
+    order = np.argsort(points.object, kind="stable")
+    upto = np.cumsum(density[order])
+    drawn = order[np.searchsorted(upto, (np.arange(count) + 0.5) / count * upto[-1])]
+    ids, times = np.unique(drawn, return_counts=True)
+    return ids.astype(np.int32), points.area[ids] * times / (count * density[ids] / density.sum())
+
+
+def control_points(kernel, ids, rays, seed):
+    """{"truth", "patches": (C, K)} the light of points ids (K,) by rays that go on, and how much more the same rays bring
+    when they read the patches that they meet [W/m^2]."""
+    reflected, found = kernel.arrays["gather.reflected"], kernel.arrays["gather.found"]
+    truth = _direct(kernel, ids, seed)
+    patches = np.zeros_like(truth)
+    tables = direction_tables(rays, seed)
+    for part in blocks(len(ids), rays):
+        own = ids[part]
+        normal, geometric = kernel.points.normal[own], kernel.points.geometric[own]
+        origin = kernel.caster.start(kernel.points.position[own], geometric)
+        directions = world_rays(tables, own, normal, seed)
+        hit = kernel.hits(np.repeat(origin, rays, axis=0), directions.reshape(3, -1).T)
+        counts = (hit.side >= 0) & above_surface(directions, geometric).reshape(-1)
+        emitted = read_light(found, hit.side) * above_surface(directions, geometric).reshape(-1)
+        deeper = np.zeros((len(reflected), len(counts)))
+        number = (np.repeat(own.astype(np.int64), rays) * rays + np.tile(np.arange(rays), len(own)))[counts]
+        deeper[:, counts] = reflect_anew(kernel, hit, np.flatnonzero(counts), number, seed)
+        flat = np.where(counts, read_light(reflected, hit.side), 0.0)
+        truth[:, part] += _mean(emitted + deeper, rays)
+        patches[:, part] = _mean(flat - deeper, rays)
+    return {"truth": truth, "patches": patches}
+
+
+def _direct(kernel, ids, seed):
+    """(C, K) light of the sampled sources at points ids (K,), from many test rays to each [W/m^2]."""
+    sources, points = kernel.sources, kernel.points
+    light = np.zeros((sources.strength.shape[1], len(ids)))
+    if not len(sources):
+        return light
+    number = np.arange(DIRECT_TESTS)
+    owner = np.repeat(np.arange(len(ids)), DIRECT_TESTS)
+    position, normal, geometric = points.position[ids], points.normal[ids], points.geometric[ids]
+    start = kernel.caster.start(position, geometric)
+    for s in range(len(sources)):
+        factor = unoccluded(sources, s, position, normal)
+        if not kernel.occluded and (normal == geometric).all():
+            light += sources.strength[s][:, None] * factor
+            continue
+        shift = scatter(ids.astype(np.int64)[:, None] * 2 + np.arange(2) + (s << 40), CONTROL + 8 * seed)
+        a, b = ((number * R2[k] + shift[:, k, None]) % 1.0 for k in range(2))
+        each = (x[owner] for x in (position, normal, geometric, start))
+        weight, seen = test_rays(sources, s, kernel.caster, *each, a.reshape(-1), b.reshape(-1))
+        share = ratio(*(np.einsum("kn->k", x.reshape(-1, DIRECT_TESTS)) for x in (seen, weight)))
+        light += sources.strength[s][:, None] * factor * share
+    return light
+
+
+def _mean(values, rays):
+    """(C, K) means of values (C, K * rays) over the rays of each point."""
+    return np.stack([np.einsum("kn->k", channel.reshape(-1, rays)) for channel in values]) / rays
