@@ -9,7 +9,7 @@ from ..core.settings import EFFECTS, PRESETS
 from .job import Options
 
 LATER = {
-    "--time": "a time limit", "--per-object": "an error per object", "--state": "state files",
+    "--per-object": "an error per object", "--state": "state files",
 }  # fmt: skip
 
 
@@ -98,6 +98,18 @@ def whole(text):
     return int(text)
 
 
+def seconds(text):
+    """A time [s]: "20s", "20", "2m"."""
+    units = {"s": 1.0, "m": 60.0}
+    try:
+        value = float(text[:-1]) * units[text[-1]] if text[-1:] in units else float(text)
+    except ValueError:
+        value = 0.0
+    if not 0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a time, like 20s")
+    return value
+
+
 def count(text):
     """A number of cells, 1 or more."""
     if not text.isdigit() or not int(text):
@@ -126,6 +138,7 @@ def add_scene_options(parser):
     """Options about the scene and the accuracy, which all commands share."""
     accuracy = parser.add_mutually_exclusive_group()
     accuracy.add_argument("--error", type=percent, metavar="2%", help="relative error to reach")
+    accuracy.add_argument("--time", type=seconds, metavar="20s", help="take so long, and make the best of it")
     accuracy.add_argument("--preset", choices=PRESETS, help="10, 2 or 0.5 %% error (default: good)")
     parser.add_argument(
         "--objects", action="append", default=[], metavar="NAME", help="write to this one (or glob) only"
@@ -149,6 +162,7 @@ def make_options(arguments, **others):
     """The Options of a command line."""
     return Options(
         error=arguments.error or PRESETS[arguments.preset or "good"],
+        time=arguments.time,
         objects=tuple(arguments.objects),
         side=arguments.side,
         max_patch=arguments.max_patch,

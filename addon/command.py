@@ -10,10 +10,10 @@ import argparse
 import signal
 import sys
 
-from . import command_bake, command_cells, command_effects, command_export
+from . import command_bake, command_cells, command_effects, command_export, command_price
 from .version import version
 
-COMMANDS = (command_bake, command_cells, command_effects, command_export)
+COMMANDS = (command_bake, command_cells, command_effects, command_export, command_price)
 
 
 def main(argv):

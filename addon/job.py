@@ -26,7 +26,7 @@ NOTHING = ("",)  # objects that no name fits: a bake of them is refused
 
 @dataclass(frozen=True)
 class Options:
-    """What the user asked for. objects: names or globs of the objects to write, () for all. error: relative. cells,
+    """What the user asked for. objects: names or globs of the objects to write, () for all. error: relative; time: seconds to take in its place, or None. cells,
     memory [bytes]: 0 leaves them to the machine. rows: None takes what the schedule goes with. force: effects that are
     simulated although the scene does not call for them. output: the file that the scene will be saved as, beside which
     images go.
@@ -44,6 +44,7 @@ class Options:
     """
 
     error: float = 0.02
+    time: float | None = None
     layers: tuple = ("Radiosity", "Lighting")
     domain: str = "CORNER"
     objects: tuple = ()
@@ -82,6 +83,7 @@ class Options:
         settings = Settings.for_error(
             self.error,
             seed=self.seed,
+            seconds=self.time,
             side=self.side,
             force=self.force,
             schedule=self.schedule,

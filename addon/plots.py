@@ -61,3 +61,24 @@ def plot_cells(runs, path, title):
     figure.tight_layout()
     figure.savefig(path)
     plt.close(figure)
+
+
+def plot_price(rows, path, title):
+    """Error against seconds, foretold and measured."""
+    plt = pyplot()
+    figure, axis = plt.subplots(figsize=(5, 3.8))
+    axis.plot(
+        [r["seconds_predicted"] for r in rows], [100 * r["error"] for r in rows], color=COLORS["dynamic"], marker="o",
+        ms=4, label="foretold",
+    )  # fmt: skip
+    known = [r for r in rows if r["seconds_measured"] is not None and r["error_measured"]]
+    if known:
+        axis.plot(
+            [r["seconds_measured"] for r in known], [100 * r["error_measured"] for r in known], color=COLORS["paper"],
+            ls="", marker="s", ms=5, label="measured",
+        )  # fmt: skip
+    axis.set(xscale="log", yscale="log", xlabel="seconds", ylabel="error in percent", title=title)
+    axis.legend(frameon=False)
+    figure.tight_layout()
+    figure.savefig(path)
+    plt.close(figure)

@@ -223,7 +223,10 @@ class DaskCells(Cells):
 
     def _find_workers(self):
         """Who is there: {address: threads}; counts those that are gone."""
-        found = {a: w["nthreads"] for a, w in self._client.scheduler_info(n_workers=-1)["workers"].items()}
+        told = self._client.scheduler_info(n_workers=-1).get("workers")
+        if told is None:  # the client has just lost the scheduler; whether it comes back is asked elsewhere
+            return
+        found = {address: worker["nthreads"] for address, worker in told.items()}
         gone = self._workers.keys() - found.keys()
         self.restarted += len(gone - self._lost)
         self._lost |= gone

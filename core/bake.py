@@ -9,7 +9,7 @@ from time import perf_counter, process_time
 
 import numpy as np
 
-from .accuracy import CROWDED, ENOUGH, Estimate, estimate_error, rays_wanted
+from .accuracy import CROWDED, ENOUGH, MOST_RAYS, Estimate, estimate_error, price_of, rays_wanted
 from .cells import peak_memory
 from .contacts import cut_contacts
 from .control import Control, draw_control
@@ -32,6 +32,8 @@ from .surfaces import make_surfaces
 
 ROUGH_RAYS = 32  # of a point, to tell where a mesh must be finer
 EASED, EASED_FINE = 4.0, 2.0  # times the length of patches where nothing casts a shadow; the latter below 1 % error
+PRICED = (0.1, 0.05, 0.02, 0.01, 0.005)  # errors of the price list
+IN_TIME = 0.9  # of the time that is left is spent on another replicate
 PILOT = 2  # replicates of the pilot: how they scatter shows their noise
 CONTROL_POINTS = 320
 CONTROL_RAYS = 64  # of each truth at first
@@ -62,7 +64,7 @@ class Progress:
 class Bake:
     """A finished bake, or one as it stands: every record of its path, seconds by phase, CPU seconds, and what the cells
     used. estimate: of its error. converged: the error asked for was reached. floor: it was reached by the cheapest way.
-    groups: light groups, if they were asked for, and by_group: a Light with a channel for each group's. openness: (P,) 1
+    price: tuple of Price, after the pilot. groups: light groups, if they were asked for, and by_group: a Light with a channel for each group's. openness: (P,) 1
     less ambient occlusion, if it was asked for."""
 
     scene: Scene
@@ -75,6 +77,7 @@ class Bake:
     estimate: Estimate | None = None
     converged: bool = False
     floor: bool = False
+    price: tuple = ()
     seconds: dict = field(default_factory=dict)
     rays: int = 0
     cells: dict = field(default_factory=dict)
@@ -92,12 +95,25 @@ def bake(scene, settings, cells, place=None, group_of=None):
         course = _Course(scene, settings, cells, place, group_of)
         yield from course.transport()
         yield from course.pilot()
+        course.price = course.prices(PRICED)
         while more := course.rays_wanted():
             yield from course.gather(more)
             yield from course.look()
         yield from course.finish()
         course.clock.lap("gather")
         return course.result()
+    finally:
+        cells.clear()
+
+
+def price(scene, settings, cells, errors=PRICED):
+    """The price list of a scene, a tuple of Price for each of the errors: what a bake finds out with its pilot. A generator
+    that yields Progress; see `bake`."""
+    try:
+        course = _Course(scene, settings, cells, None, None)
+        yield from course.transport()
+        yield from course.pilot()
+        return course.prices(errors)
     finally:
         cells.clear()
 
@@ -111,6 +127,7 @@ class _Course:
         self.scene = self.written = mend(scene)
         self.survey = survey(self.scene, settings, cells)
         self.settings = _eased(settings, self.survey)
+        self.price, self._gather_seconds, self._gather_rays = (), 0.0, 0
         self.points = self.side = self.groups = self.gathering = self.control = self.estimate = self.openness = None
         self.clock.lap("survey")
 
@@ -168,7 +185,26 @@ class _Course:
 
     def gather(self, rays):
         """Another replicate of the light at the points."""
+        begun = perf_counter()
         yield from _each(self.gathering.gather(rays), self._of_points)
+        self._gather_seconds, self._gather_rays = (
+            self._gather_seconds + perf_counter() - begun,
+            self._gather_rays + rays,
+        )
+
+    def prices(self, errors):
+        """A tuple of Price for each of the errors, after the pilot."""
+        if self.estimate is None:
+            return ()
+        seconds, used, rate = self.clock.seconds(), self.clock.cells(), self._gather_seconds / self._gather_rays
+        grows = seconds["patches"] + seconds["transport"]
+        spent = grows, sum(seconds[p] for p in ("survey", "patches", "transport")) - grows
+        memory = used["host_mb"] + sum(used["cells_mb"])
+        own = self.settings.row_work
+        work = [Settings.for_error(error).row_work / own if own else 1.0 for error in errors]
+        return tuple(
+            price_of(error, self.estimate, self.gathering, w, spent, rate, memory) for error, w in zip(errors, work)
+        )
 
     def look(self):
         """Find the error as it stands; as much is spent on it as the error asked for needs."""
@@ -198,15 +234,24 @@ class _Course:
         light = self.gathering.light(self.scene.diagonal)
         return weighted(light, self.groups) if self.groups else light
 
+    @property
+    def _timed(self):
+        return self.settings.seconds is not None
+
     def rays_wanted(self):
         """How many more rays a point needs, 0 if it has enough."""
         if not len(self.points):
             return 0
+        so_far = int(self.gathering.rays.max(initial=0))
         if self.settings.gather_rays is not None:
-            return max(self.settings.gather_rays - int(self.gathering.rays.max(initial=0)), 0)
+            return max(self.settings.gather_rays - so_far, 0)
         if self.estimate is None:
             return 0
-        return rays_wanted(self.estimate, self.gathering.weight, self.settings.error)
+        if self._timed:
+            left = self.settings.seconds - self.clock.total()
+            rays = int(IN_TIME * left * self._gather_rays / max(self._gather_seconds, 1e-9))
+            return min(rays, MOST_RAYS) if rays >= PILOT * self.settings.pilot_rays else 0
+        return rays_wanted(self.estimate, so_far, self.settings.error)
 
     def result(self, solution=None):
         """The Bake as it stands; solution: of a transport that is not at its end."""
@@ -227,8 +272,9 @@ class _Course:
             solution,
             weighted(light, self.groups) if self.groups else light,
             estimate=self.estimate,
-            converged=solution.converged and (reached or self.settings.gather_rays is not None),
+            converged=solution.converged and (reached or self.settings.gather_rays is not None or self._timed),
             floor=reached and len(self.gathering.replicates) <= PILOT,
+            price=self.price,
             seconds=self.clock.seconds(),
             rays=self.clock.rays(),
             cells=self.clock.cells(),

@@ -99,11 +99,19 @@ def make_report(bake, *, scene, version, layers, domain, start, read, write, lig
         },
         "error": _error(bake),
         "energy": {**solution.energy, "direct_check": direct_check(bake.scene, solution)},
-        "price": [],
+        "price": [price_row(p) for p in bake.price],
         "layers": list(layers),
         "objects": [dict(name=n, points=c, domain=domain, error=e) for n, c, e in _objects(bake)],
         "lightmaps": list(lightmaps),
     }  # fmt: skip
+
+
+def price_row(price, seconds=None, error=None):
+    """A row of the report's price list. seconds, error: measured, if they were."""
+    return dict(
+        error=price.error, seconds_predicted=price.seconds, seconds_measured=seconds, error_measured=error,
+        memory_mb=price.memory_mb,
+    )  # fmt: skip
 
 
 def survey_report(found, *, scene, version, settings, read, survey):

@@ -24,7 +24,7 @@ class Settings:
     each of the first replicates. side: whose light is asked for, of each
     face: "front", "back" or "lit" (the one that gets more). schedule: "dynamic" or "paper"; rows: "rays" or "analytic",
     the estimator of form-factor rows. force: effects that are simulated although nothing calls for them. memory: what host and cells together may use [bytes].
-    occlusion: distance within which ambient occlusion counts [m]; None finds none.
+    seconds: a bake may take, in place of an error to reach; None: any. occlusion: distance within which ambient occlusion counts [m]; None finds none.
     """
 
     error: float = PRESETS["good"]
@@ -34,12 +34,18 @@ class Settings:
     patch_samples: int = 4
     gather_rays: int | None = None
     pilot_rays: int = 8
+    seconds: float | None = None
     schedule: str = "dynamic"
     rows: str = "rays"
     memory: float = 2e9
     side: str = "front"
     occlusion: float | None = None
     force: tuple = ()
+
+    @property
+    def row_work(self):
+        """What patches and their rows cost, in any unit; None where every polygon is a patch."""
+        return self.row_rays / self.patch_edge**2 if self.patch_edge else None
 
     @classmethod
     def for_error(cls, error, **others):

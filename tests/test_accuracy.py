@@ -1,0 +1,104 @@
+"""The error of a bake: what is said of it, and what it costs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cell_radiosity.core.accuracy import AIM, Estimate, noise_after, rays_wanted
+from cell_radiosity.core.bake import price
+from cell_radiosity.core.cells import LocalCells
+
+from scenes import Material, Settings, bake, box, join_meshes, run, sheet
+
+
+def furnished(n=8):
+    """A room of two reflectances with a block in it, lit by a panel."""
+    materials = [Material("white", (0.7, 0.7, 0.6)), Material("red", (0.6, 0.2, 0.1)),
+                 Material("panel", (0, 0, 0), (30.0, 28.0, 25.0))]  # fmt: skip
+    panel = sheet("panel", [(0.35, 0.65, 0.98), (0.65, 0.65, 0.98), (0.65, 0.35, 0.98), (0.35, 0.35, 0.98)], 2, 2, 2)
+    block = box("block", (0.2, 0.3, 0.0), (0.5, 0.6, 0.45), n // 2, False, dict.fromkeys("xXyYzZ", 1), "xXyYZ")
+    return join_meshes([box("room", n=n), block, panel], materials)
+
+
+def baked(**settings):
+    return run(bake(furnished(), Settings(**settings), LocalCells()))
+
+
+def off(found, truth):
+    """Relative error of a bake against what is true, away from creases, where points are not moved."""
+    area = found.points.area * found.points.smooth
+    return np.sqrt((area * (found.light.total - truth) ** 2).sum() / (area * truth**2).sum())
+
+
+@pytest.fixture(scope="module")
+def truth():
+    """Light of much finer bakes than those that are judged; two seeds."""
+    fine = dict(patch_edge=1 / 100, row_rays=64, gather_rays=1500, error=0.001)
+    return sum(baked(seed=s, **fine).light.total for s in (101, 102)) / 2
+
+
+@pytest.mark.parametrize("rays", [16, 32, 96, 256])
+def test_estimate_follows_the_error_when_rays_are_fixed(truth, rays):
+    """Away from any target: an estimate that repeats what was asked for would fail."""
+    found = baked(gather_rays=rays, error=0.02)
+    assert 0.6 < found.estimate.interior / off(found, truth) < 1.5
+
+
+@pytest.mark.parametrize("error", [0.05, 0.02, 0.01])
+def test_the_error_asked_for_is_reached_and_not_by_far(truth, error):
+    found = baked(error=error)
+    assert found.converged
+    assert off(found, truth) < 1.1 * error
+    assert found.floor or off(found, truth) > 0.3 * error
+
+
+def test_parts_of_the_error_add_up():
+    e = baked(gather_rays=32).estimate
+    assert e.sampling**2 + e.patches**2 + e.solve**2 == pytest.approx(e.total**2, rel=1e-9)
+    name, worst = e.worst()
+    assert worst == np.nanmax(e.objects)
+    assert 0 <= name < 3
+
+
+def test_seeds_scatter_as_the_estimate_says():
+    """Chi-square of 20 seeds about their own mean, over all points: the variances are right in the mean."""
+    runs = [baked(gather_rays=48, seed=seed) for seed in range(20)]
+    light = np.stack([r.light.total for r in runs])
+    scatter = light.var(axis=0, ddof=1)
+    area = runs[0].points.area
+    found = (area * scatter).sum() / (area * light.mean(axis=0) ** 2).sum()
+    said = np.mean([r.estimate.sampling**2 for r in runs])
+    # Chi-square with 19 degrees of freedom a point, and many points; what each says of itself is right to a third.
+    assert 0.6 < said / found < 1.7
+
+
+def test_coarse_patches_show_in_their_part_of_the_error():
+    coarse, fine = (baked(patch_edge=edge, gather_rays=128).estimate.patches for edge in (1 / 3, 1 / 40))
+    assert coarse > 2 * fine
+    assert coarse > 0.005
+
+
+def test_price_list_is_the_pilots():
+    """Less error costs more rays and time; what the pilot reaches costs nothing more."""
+    rows = run(price(furnished(), Settings(), LocalCells(), (0.5, 0.02, 0.002)))
+    assert rows[0].rays <= rows[1].rays < rows[2].rays
+    assert rows[0].seconds <= rows[1].seconds < rows[2].seconds
+    assert [r.error for r in rows] == [0.5, 0.02, 0.002]
+    assert all(r.memory_mb > 0 for r in rows)
+
+
+def test_a_time_is_used_and_kept():
+    """Counted in rays: a longer time takes more of them, and ends by the clock of the bake itself."""
+    short, long = (baked(seconds=s, error=0.02) for s in (0.6, 2.0))
+    assert long.rays > 1.5 * short.rays
+    assert long.estimate.total < short.estimate.total
+
+
+def test_rays_wanted():
+    """As many as bring the noise to the goal and no more; none where it is there, or where rays are of no use."""
+    rough = Estimate(total=0.05, noise=0.05)
+    n = rays_wanted(rough, 16, 0.01)
+    assert noise_after(0.05, 16, n) <= (AIM * 0.01) ** 2 < noise_after(0.05, 16, n - 1)
+    assert rays_wanted(Estimate(total=0.009, noise=0.009), 16, 0.01) == 0
+    assert rays_wanted(Estimate(total=0.05, noise=0.005, shared=0.05), 16, 0.01) == 0
