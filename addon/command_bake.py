@@ -162,11 +162,9 @@ def _bake_file(path, arguments, cells, start_seconds, several):
     )
     job = Job(context, options, cells, start_seconds)
     try:
-        with Bar(quiet=arguments.quiet) as bar:
-            for progress in job.bake():
-                bar.show(progress)
+        stopped = _bake_until_stopped(job, arguments.quiet)
         job.write(context)
-        if made_from:
+        if made_from and not stopped:
             note(made_from)
         save_file(output, source)
         if export:
@@ -187,3 +185,22 @@ def _bake_file(path, arguments, cells, start_seconds, several):
             new = ".".join(map(str, bpy.app.version[:2]))
             print(f"{output} has the file format of Blender {new}: Blenders before 4.5 cannot open it", flush=True)
         print(f"{os.path.basename(source)}: {summary(job.result)}; saved {output}", flush=True)
+    if stopped:
+        raise KeyboardInterrupt
+
+
+def _bake_until_stopped(job, quiet):
+    """Bake to the end, or until Ctrl-C; then what there is becomes the result. Returns whether it was stopped."""
+    latest = None
+    try:
+        with Bar(quiet=quiet) as bar:
+            for progress in job.bake():
+                latest = progress if progress.take else latest
+                bar.show(progress)
+    except KeyboardInterrupt:
+        so_far = job.so_far(latest)
+        if so_far is None:
+            raise
+        job.keep(so_far)
+        return True
+    return False

@@ -136,6 +136,7 @@ class RADIOSITY_PG_settings(bpy.types.PropertyGroup):
             ("Direct", "Direct", "The part of Lighting that comes straight from lamps, emitting faces and the sky"),
             ("Indirect", "Indirect", "The part of Lighting that was reflected at least once"),
             ("Occlusion", "Occlusion", "Ambient occlusion: white in the open, dark where something is near"),
+            ("RadiosityError", "Error", "How far Lighting may be off at each point: its standard error"),
         ],
         options={"ENUM_FLAG"},
         default={"Radiosity", "Lighting"},

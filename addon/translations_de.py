@@ -56,6 +56,7 @@ GERMAN = {
     "Indirect": "Indirekt",
     "The part of Lighting that was reflected at least once": "Der Teil der Beleuchtung, der mindestens einmal zurückgeworfen wurde",
     "Occlusion": "Verdeckung",
+    "How far Lighting may be off at each point: its standard error": "Wie weit Lighting an jedem Punkt danebenliegen kann: sein Standardfehler",
     "Ambient occlusion: white in the open, dark where something is near": "Umgebungsverdeckung: weiß im Freien, dunkel, wo etwas nahe ist",
     "Distance": "Entfernung",
     "How near something must be to count as ambient occlusion": "Wie nahe etwas sein muss, um als Umgebungsverdeckung zu zählen",

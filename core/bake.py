@@ -425,7 +425,8 @@ class _Clock:
         used, before = self._cells.usage, self._usage
         here = process_time() - self._cpu
         cpu = here + used.cpu - before.cpu - (used.here - before.here)
-        return {**self._phases, "cpu": cpu, "embree_cpu": used.embree - before.embree}
+        phases = dict.fromkeys(("survey", "patches", "transport", "gather"), 0.0)
+        return {**phases, **self._phases, "cpu": cpu, "embree_cpu": used.embree - before.embree}
 
     def cells(self):
         """Number of cells, restarts, and peak memory [MB] of the host and of each cell."""

@@ -7,8 +7,8 @@ import numpy as np
 from .groups import one_group
 from .surfaces import corner_surfaces, place_surfaces
 
-LAYERS = ("Radiosity", "Lighting", "Direct", "Indirect", "Occlusion")
-PLAIN = ("Occlusion",)  # layers that are no light: they have no groups
+LAYERS = ("Radiosity", "Lighting", "Direct", "Indirect", "Occlusion", "RadiosityError")
+PLAIN = ("Occlusion", "RadiosityError")  # layers that are no light: they have no groups
 
 
 def layer_colors(bake, layer, group=None):
@@ -16,7 +16,7 @@ def layer_colors(bake, layer, group=None):
 
     Radiosity: (exitance + reflectance * irradiance) / pi, what the eye sees. Lighting: irradiance / pi, without the
     surface's own color. Direct, Indirect: its two parts. Occlusion: 1 where nothing is near, less
-    where something is. group: number of the light group that is meant, None for all
+    where something is. RadiosityError: the standard error of Lighting at each point, as replicates scatter. group: number of the light group that is meant, None for all
     light. Raises ValueError for a layer that is not known.
     """
     points, scene = bake.points, bake.scene
@@ -24,6 +24,9 @@ def layer_colors(bake, layer, group=None):
     if layer == "Occlusion":
         colors[points.corner] = bake.openness[points.corner_point][:, None]
         return colors
+    if layer == "RadiosityError":
+        colors[points.corner] = _scatter(bake.light)[:, points.corner_point].T
+        return colors / np.pi
     colors[points.corner] = _arriving(_light_of(bake, group), layer)[:, points.corner_point].T
     if layer == "Radiosity":
         reflectance, exitance = corner_surfaces(scene, points.corner)
@@ -37,11 +40,18 @@ def texel_colors(bake, atlas, layer, group=None):
     `layer_colors`."""
     if layer == "Occlusion":
         return np.repeat(bake.openness[:, None], 3, axis=1)
+    if layer == "RadiosityError":
+        return np.broadcast_to(_scatter(bake.light).T, (len(bake.points), 3)) / np.pi
     colors = np.broadcast_to(_arriving(_light_of(bake, group), layer).T, (len(bake.points), 3))
     if layer == "Radiosity":
         reflectance, exitance = place_surfaces(bake.scene, atlas.triangle[bake.points.row], bake.points.weight)
         colors = exitance * _glowing(bake, group)[bake.points.object][:, None] + reflectance * colors
     return colors / np.pi
+
+
+def _scatter(light):
+    """(C, P) standard error of the light at points [W/m^2]."""
+    return np.sqrt(np.maximum(light.variance, 0.0))
 
 
 def _light_of(bake, group):
