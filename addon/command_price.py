@@ -112,7 +112,7 @@ def _measured(scene, targets, options, prices, cells, reference, bar):
     for p, found in zip(prices, baked):
         seconds = sum(found.seconds[phase] for phase in ("survey", "patches", "transport", "gather"))
         if reference is not None:
-            off = _off_reference(found, targets, reference)
+            off = off_reference(found, targets, reference)
         else:
             off = None if found is finest else _off(found, finest)
         rows.append(price_row(p, float(seconds), off))
@@ -125,7 +125,7 @@ def _off(found, finest):
     return float(np.sqrt((area * (light - truth) ** 2).sum() / max((area * truth**2).sum(), 1e-300)))
 
 
-def _off_reference(found, targets, reference):
+def off_reference(found, targets, reference):
     """Relative error of a Bake against a reference: NAME.A, NAME.mask, NAME.EA and NAME.EB at the vertices of objects."""
     colors, vertex = layer_colors(found, "Lighting"), found.scene.corner_vertex
     off = truth = 0.0
