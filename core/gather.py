@@ -368,7 +368,7 @@ def _direct(kernel, own, rays, seed):
         mixed = (state == 2) | (np.bincount(here, differs, len(ids)) > 0)
         count = np.where(mixed, np.clip(PENUMBRA * rays * np.sqrt(share[:, s]), 4, 2 * PENUMBRA * rays), 0)
         count = np.where(dim & (state >= 0), np.maximum(count, DIM_TESTS), count)
-        count = (count * (_tests(kernel, s) / TESTS)).astype(np.int64)
+        count = count.astype(np.int64)
         more = np.flatnonzero(count[: len(own)])
         if len(more):
             extra = test(s, more, _tests(kernel, s), count[more])

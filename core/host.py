@@ -134,7 +134,8 @@ class RayRows:
     def sky_light(self, sky, start=0):
         """(C, K) irradiance that the sky's cells (C, M) give the sides of the rows from `start` on."""
         hits = self.hits[start:].reshape(-1)
-        seen = (np.where(hits < 0, np.take(cells, hits, mode="wrap"), 0.0).reshape(-1, self.rays) for cells in sky)
+        cell = np.where(hits < 0, hits, -1)  # wrapping counts down step by step: only ever one step
+        seen = (np.where(hits < 0, np.take(cells, cell, mode="wrap"), 0.0).reshape(-1, self.rays) for cells in sky)
         return np.stack([np.einsum("kn->k", channel) for channel in seen]) / self.rays
 
     def links(self, island, start=0):

@@ -176,9 +176,14 @@ def unoccluded(sources, s, position, normal):
 def likely_light(sources, s, position, normal):
     """(K,) roughly what source s may give points, to pick sources by; positive unless it can give nothing."""
     strength = sources.strength[s].mean()
-    if sources.kind[s] != FLAT:
+    if sources.kind[s] not in (FLAT, BALL):
         return strength * unoccluded(sources, s, position, normal) + TINY
     toward = sources.position[s] - position
+    if sources.kind[s] == BALL:  # its cone is left out: what a wide one gives takes long to know
+        square = dot(toward, toward)
+        least = SLANT if sources.radius[s] > 0 else 0.0
+        rise = np.maximum(ratio(dot(toward, normal), np.sqrt(square)), least)
+        return strength * ratio(rise, square + sources.radius[s] ** 2) + TINY
     square = dot(toward, toward)
     distance, area = np.sqrt(square), sources.area(s)
     rise = np.maximum(ratio(dot(toward, normal), distance), SLANT)

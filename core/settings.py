@@ -44,8 +44,9 @@ class Settings:
 
     @property
     def row_work(self):
-        """What patches and their rows cost, in any unit; None where every polygon is a patch."""
-        return self.row_rays / self.patch_edge**2 if self.patch_edge else None
+        """What patches and their rows cost, in any unit; None where every polygon is a patch. Longer rows cost less than
+        their rays: half of the work is the patches' own."""
+        return self.row_rays**0.5 / self.patch_edge**2 if self.patch_edge else None
 
     @classmethod
     def for_error(cls, error, **others):
