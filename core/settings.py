@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import sqrt
 
 PRESETS = {"draft": 0.10, "good": 0.02, "fine": 0.005}  # relative errors
 
@@ -46,7 +47,7 @@ class Settings:
     def row_work(self):
         """What patches and their rows cost, in any unit; None where every polygon is a patch. Longer rows cost less than
         their rays: half of the work is the patches' own."""
-        return self.row_rays**0.5 / self.patch_edge**2 if self.patch_edge else None
+        return sqrt(self.row_rays) / self.patch_edge**2 if self.patch_edge else None
 
     @classmethod
     def for_error(cls, error, **others):
