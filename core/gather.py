@@ -83,7 +83,7 @@ class Gathering:
         light groups, whose channels lie one after the other: noise is judged by their sum, so that they stay parts of it.
         """
         self.points, self.cells, self.settings, self._start, self._groups = points, cells, settings, start, groups
-        self.replicates = []
+        self.replicates, self._taken, self._light = [], None, None
         self.rays, self._nearness = np.zeros(len(points)), np.zeros(len(points))
         self.closest = np.full(len(points), np.inf)
         self._links = np.zeros(len(points.neighbor), bool)
@@ -121,6 +121,12 @@ class Gathering:
         The filter is linear, so it can be applied to each replicate: how their results scatter shows the noise that is
         left in the mean, filtered as it is.
         """
+        taken = len(self.replicates), float(self.rays.sum())
+        if taken != self._taken:  # the same light is asked for after every look at its error
+            self._taken, self._light = taken, self._filtered(diagonal)
+        return self._light
+
+    def _filtered(self, diagonal):
         done = self.rays > 0
         if not done.any():
             return self._start
