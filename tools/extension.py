@@ -40,9 +40,9 @@ def fetch_wheels(folder):
 def blender_tool():
     """Path of Blender's extension tool, as the bpy module brings it."""
     code = "import bpy; print(bpy.utils.system_resource('SCRIPTS'))"
-    scripts = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()[
-        -1
-    ]
+    scripts = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout.splitlines()[-1]
     return Path(scripts) / "addons_core" / "bl_pkg" / "cli" / "blender_ext.py"
 
 
