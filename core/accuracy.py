@@ -93,7 +93,7 @@ def estimate_error(points, light, control, free, bound):
     solve = min(bound * bound, total - noise)
     patches = min(max(averaged, 0.0), total - noise - solve)
     return Estimate(
-        *(float(np.sqrt(x)) for x in (total, within, total - patches - solve, patches, solve, noise, certain)),
+        *(float(np.sqrt(x)) for x in (total, within, max(total - patches - solve, 0.0), patches, solve, noise, certain)),
         float(doubt),
         _of_objects(points, power, scatter + blurred, shared - weight * light.blurred[ids], ids, total - noise),
     )

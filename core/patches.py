@@ -30,6 +30,7 @@ TURNS = 4  # steps per unit in which the normals of a cluster's facets agree
 WORTH = 0.7  # clusters are made if they are fewer than this share of the facets
 CUTS = 3  # planes that cut one patch where other surfaces touch it, at most
 FLAT = 0.9995  # least cosine between the triangles of one flat facet
+THIN = 1e-12  # least area of a triangle, in the square that holds its facet, that a grid is laid over
 
 
 @dataclass(frozen=True)
@@ -223,8 +224,13 @@ def _lay_grids(scene, triangle, facet, edge):
             owner = (np.cumsum(chosen) - 1)[facet[part]]
             at, span = lay(scene, triangle[part], owner, corners[part], leading[part])
             cells = np.maximum(np.ceil(span / edge - 1e-6), 1)
-            place[part] = at * cells[owner, None]
+            # A sliver thinner than its digits has no frame: what it belongs to stays whole.
+            thin = np.bincount(owner, ~(np.abs(_determinant(at)) > THIN)) > 0
+            cells[thin] = 1
             columns[chosen], rows[chosen] = cells.astype(np.int64).T
+            broad = ~thin[owner]
+            part = part[broad]
+            place[part] = (at * cells[owner, None])[broad]
             frame[part] = _frames(corners[part], place[part])
     return grid
 
@@ -259,10 +265,16 @@ def _frames(corners, place):
     world and (K, 3, 2) in cells."""
     a, b = place[:, 1] - place[:, 0], place[:, 2] - place[:, 0]
     e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    det = (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])[:, None]
+    det = _determinant(place)[:, None]
     s = (b[:, 1:] * e1 - a[:, 1:] * e2) / det
     t = (a[:, :1] * e2 - b[:, :1] * e1) / det
     return np.stack([corners[:, 0] - place[:, 0, :1] * s - place[:, 0, 1:] * t, s, t], axis=1)
+
+
+def _determinant(place):
+    """(K,) twice the signed area of triangles (K, 3, 2)."""
+    a, b = place[:, 1] - place[:, 0], place[:, 2] - place[:, 0]
+    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
 
 
 def _changes(key):
