@@ -19,6 +19,7 @@ from .files import check_writable, context_of, open_file, place_for, save_file, 
 from .finished import finished, is_result, note, origin
 from .job import Job
 from .progress import Bar, summary
+from .scene_command import NO_SCENE, exit_code
 
 
 def add(commands):
@@ -72,22 +73,15 @@ def add(commands):
     maps.add_argument("--image", choices=("exr", "png"), default="exr", help="32-bit floats, or 16 bits times a scale")
 
 
+@exit_code
 def run_bake(arguments):
     """Bake every scene of the command line; returns the exit code."""
     scenes = arguments.scenes or [None]
     if scenes == [None] and not bpy.data.filepath:
-        print("radiosity: no scene: name a .blend file", file=sys.stderr)
-        return 2
-    try:
-        begun = perf_counter()
-        with cells_for(arguments, arguments.cells) as cells:
-            return _bake_files(scenes, arguments, cells, perf_counter() - begun)
-    except Usage as problem:
-        print(f"radiosity: {problem}", file=sys.stderr)
-        return 2
-    except OSError as problem:
-        print(f"radiosity: {problem}", file=sys.stderr)
-        return 1
+        raise Usage(NO_SCENE)
+    begun = perf_counter()
+    with cells_for(arguments, arguments.cells) as cells:
+        return _bake_files(scenes, arguments, cells, perf_counter() - begun)
 
 
 def _bake_files(scenes, arguments, cells, start_seconds):

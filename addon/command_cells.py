@@ -5,19 +5,19 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-
-import bpy
+from contextlib import nullcontext
 
 from ..core.experiment import as_dictionary, convergence, convergence_table, experiment, law_of, table
 from ..core.report import write_json
 from ..core.settings import SCHEDULES
 from .arguments import add_scene_options, count, make_options
 from .cluster import add_cluster_options, cells_for
-from .errors import Refused, Usage
-from .files import check_writable, context_of, open_file
+from .errors import Usage
+from .files import context_of
 from .job import default_cells, wanted_by
 from .plots import plot_cells, pyplot
 from .read_scene import read_scene
+from .scene_command import add_scene_file, exit_code, open_scene
 
 
 def add(commands):
@@ -28,7 +28,7 @@ def add(commands):
         "replayed beyond them.",
     )  # fmt: skip
     cells.set_defaults(run=run_cells)
-    cells.add_argument("scene_file", nargs="?", metavar="SCENE.blend", help="the file (inside Blender: the open one)")
+    add_scene_file(cells)
     cells.add_argument("--counts", type=_counts, metavar="1,2,4", help="cells to measure (default: 1 up to the cores)")
     cells.add_argument("--schedule", type=_schedules, default=SCHEDULES, metavar="paper,dynamic", help="default: both")
     cells.add_argument("--report", metavar="R.json", help="write all figures")
@@ -37,25 +37,17 @@ def add(commands):
     add_scene_options(cells)
 
 
+@exit_code
 def run_cells(arguments):
-    """Measure and replay a scene on many cells; returns the exit code."""
-    path = arguments.scene_file
-    source = path or bpy.data.filepath
-    joined = None
-    try:
-        if not source:
-            raise Usage("no scene: name a .blend file")
-        if arguments.cluster and arguments.counts:
-            raise Usage("--counts is for this machine's cells; a cluster is measured as it is")
-        if arguments.plot:
-            pyplot()
-        for place in (arguments.report, arguments.plot):
-            check_writable(place and os.path.abspath(place))
-        if path:
-            open_file(os.path.abspath(path))
-        scene, _ = read_scene(context_of(arguments), wanted_by(arguments.objects))
-        settings = make_options(arguments).settings(scene.diagonal)
-        joined = cells_for(arguments) if arguments.cluster else None
+    """Measure and replay a scene on many cells."""
+    if arguments.cluster and arguments.counts:
+        raise Usage("--counts is for this machine's cells; a cluster is measured as it is")
+    if arguments.plot:
+        pyplot()
+    source = open_scene(arguments, arguments.report, arguments.plot)
+    scene, _ = read_scene(context_of(arguments), wanted_by(arguments.objects))
+    settings = make_options(arguments).settings(scene.diagonal)
+    with cells_for(arguments) if arguments.cluster else nullcontext() as joined:
         cores = joined.count if joined else default_cells()
         counts = arguments.counts or tuple(n for n in (1, 2, 4, 8, 16, 32, 64) if n < cores and not joined) + (cores,)
         replays = tuple(sorted({*counts, *(2**k for k in range(11))}))
@@ -63,27 +55,16 @@ def run_cells(arguments):
         for run in experiment(scene, settings, arguments.schedule, counts, replays, joined):
             runs.append(run)
             if not arguments.quiet:
-                print(
-                    f"{run.schedule}, {run.cells} cells, {run.kind}: {run.seconds:.2f} s", file=sys.stderr, flush=True
-                )
-        print(table(runs), flush=True)
-        law = law_of(scene, settings)
-        aimed = convergence(scene, settings) if "dynamic" in arguments.schedule else None
-        print(convergence_table(runs, law, aimed), flush=True)
-        if arguments.report:
-            write_json(as_dictionary(os.path.abspath(source), runs, law, aimed), os.path.abspath(arguments.report))
-        if arguments.plot:
-            plot_cells(runs, os.path.abspath(arguments.plot), os.path.basename(source))
-    except Usage as problem:
-        print(f"radiosity: {problem}", file=sys.stderr)
-        return 2
-    except (Refused, OSError) as problem:
-        print(f"radiosity: {source}: {problem}", file=sys.stderr)
-        return 1
-    finally:
-        if joined:
-            joined.stop()
-    return 0
+                text = f"{run.schedule}, {run.cells} cells, {run.kind}: {run.seconds:.2f} s"
+                print(text, file=sys.stderr, flush=True)
+    print(table(runs), flush=True)
+    law = law_of(scene, settings)
+    aimed = convergence(scene, settings) if "dynamic" in arguments.schedule else None
+    print(convergence_table(runs, law, aimed), flush=True)
+    if arguments.report:
+        write_json(as_dictionary(source, runs, law, aimed), os.path.abspath(arguments.report))
+    if arguments.plot:
+        plot_cells(runs, os.path.abspath(arguments.plot), os.path.basename(source))
 
 
 def _counts(text):

@@ -87,7 +87,7 @@ class RADIOSITY_PG_result(bpy.types.PropertyGroup):
 
     def note_estimate(self, bake):
         """Keep what is known of a Bake's error."""
-        estimate = getattr(bake, "estimate", None)
+        estimate = bake.estimate
         if estimate is None:
             return
         self.error, self.asked, self.converged = estimate.total, bake.settings.error, bake.converged

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -182,8 +183,6 @@ def test_a_cluster_that_is_lost(tmp_path, monkeypatch, victim, words):
         while not file.exists() or not file.read_text().strip():
             assert time.monotonic() < deadline
             time.sleep(0.1)
-        import json
-
         monkeypatch.setattr(cluster_cells, "WAIT", 30.0)
         with connect(json.loads(file.read_text())["address"]) as cells:
             monkeypatch.setattr(cluster_cells, "WAIT", 4.0)
@@ -195,6 +194,33 @@ def test_a_cluster_that_is_lost(tmp_path, monkeypatch, victim, words):
         for process in processes.values():
             process.kill()
             process.wait()
+
+
+@pytest.mark.parametrize("command", ["price", "cells"])
+def test_other_commands_take_a_cluster_too(tmp_path, monkeypatch, command):
+    """Their cells are its workers, which end with them."""
+    bpy = pytest.importorskip("bpy")
+    from cell_radiosity.addon.command import main
+
+    from blender_scenes import empty, lamp, plane
+
+    empty()
+    plane("floor", n=4)
+    lamp("POINT", 30.0, location=(0, 0, 1))
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "floor.blend"))
+    made = []
+    monkeypatch.setattr(cluster_cells, "connect", lambda *words, real=connect: made.append(real(*words)) or made[-1])
+    report, more = tmp_path / "r.json", {"price": ["--errors", "10"], "cells": ["--schedule", "dynamic"]}[command]
+    argv = [command, str(tmp_path / "floor.blend"), "--cluster", "local:2", "--quiet", "--report", str(report), *more]
+    assert main(argv) == 0
+    (cells,) = made
+    assert cells.usage.busy  # somebody worked there
+    assert cells._client.status == "closed"
+    found = json.loads(report.read_text())
+    if command == "price":
+        assert found["price"][0]["seconds_predicted"] > 0
+    else:
+        assert [run["cells"] for run in found["runs"] if run["kind"] == "measured"] == [2]
 
 
 HOST = """

@@ -248,6 +248,34 @@ def test_the_same_bits_again_and_with_other_cells(scene):
     assert np.array_equal(layers[0], layers[2])
 
 
+@pytest.mark.parametrize("command", ["price", "effects", "cells"])
+def test_commands_on_one_scene_open_it_and_fail_alike(scene, command, capfd):
+    """No scene: usage. A file that is not there, or a report that cannot be written: one line, before any work."""
+    bpy.ops.wm.read_homefile(use_empty=True)
+    none = scene.with_name("none.blend")
+    for argv, code, words in (
+        ([], 2, "no scene: name a .blend file"),
+        ([str(none)], 1, f"{none}: no such file"),
+        ([str(scene), "--report", str(scene.parent)], 1, f"{scene}: cannot write {scene.parent}: it is a folder"),
+        ([str(scene), "--scene", "third"], 1, "there is no scene 'third'"),
+    ):
+        assert main([command, *argv]) == code
+        (line,) = capfd.readouterr().err.strip().splitlines()
+        assert line.startswith("radiosity: ")
+        assert words in line
+
+
+def test_prices_are_listed_and_measured(scene, capfd):
+    report = scene.parent / "price.json"
+    assert main(["price", str(scene), "--errors", "20,10", "--measure", "--quiet", "--report", str(report)]) == 0
+    rows = json.loads(report.read_text())["price"]
+    assert [row["error"] for row in rows] == [0.2, 0.1]
+    assert all(row["seconds_predicted"] > 0 and row["seconds_measured"] > 0 for row in rows)
+    assert rows[0]["error_measured"] < 0.2
+    assert rows[1]["error_measured"] is None  # nothing finer is there to measure it against
+    assert len(capfd.readouterr().out.splitlines()) == 3
+
+
 def test_make_bake_names_a_scene_that_is_there():
     root = Path(__file__).parent.parent
     assert (root / "sample_scenes" / "cornell_box.blend").exists()

@@ -1,0 +1,56 @@
+"""What commands on one scene have in common: the file among their arguments, its opening, and how they end."""
+
+from __future__ import annotations
+
+import os
+import sys
+from functools import wraps
+
+import bpy
+
+from .errors import Refused, Usage
+from .files import check_writable, open_file
+
+NO_SCENE = "no scene: name a .blend file"
+
+
+def add_scene_file(parser):
+    """Add the file to the arguments of a command."""
+    parser.add_argument("scene_file", nargs="?", metavar="SCENE.blend", help="the file (inside Blender: the open one)")
+
+
+def open_scene(arguments, *outputs):
+    """Open the file of a command line, once it is known that the outputs (paths or None) can be written; returns its
+    path. Without one the open file is meant. Raises Usage if there is none, Refused if something is in the way."""
+    source = _named(arguments)
+    if not source:
+        raise Usage(NO_SCENE)
+    for path in outputs:
+        check_writable(path and os.path.abspath(path))
+    if arguments.scene_file:
+        open_file(os.path.abspath(source))
+    return os.path.abspath(source)
+
+
+def exit_code(command):
+    """A command that returns the exit code, and says in one line why it failed, from one that raises Usage, Refused or
+    OSError."""
+
+    @wraps(command)
+    def run(arguments):
+        try:
+            return command(arguments) or 0
+        except Usage as problem:
+            print(f"radiosity: {problem}", file=sys.stderr, flush=True)
+            return 2
+        except (Refused, OSError) as problem:
+            source = _named(arguments)
+            print(f"radiosity: {f'{source}: ' if source else ''}{problem}", file=sys.stderr, flush=True)
+            return 1
+
+    return run
+
+
+def _named(arguments):
+    """The file that a command line names, or the open one; "" for a command on several files."""
+    return arguments.scene_file or bpy.data.filepath if "scene_file" in arguments else ""
