@@ -9,17 +9,16 @@ from __future__ import annotations
 import numpy as np
 
 from .lights import FLAT, likely_light, test_rays, unoccluded
-from .sampling import hemisphere, scatter, tangents
+from .sampling import hemisphere, tangents
 from .vectors import dot
 
-ANEW = 6  # salt of the sample sequences
 CLOSE = 0.3  # a source that fills more than this share of a hemisphere's unit disk is close: its exact factor is taken
 
 
-def reflect_anew(kernel, hit, chosen, number, seed):
+def reflect_anew(kernel, hit, chosen, x):
     """(C, K) light [W/m^2] that the chosen hits (K,) of Hits reflect: of a source picked for each, and of one more ray.
 
-    number: (K,) a number of its own for each, from which its samples come.
+    x: (5, K) samples in [0, 1): which source, a place on it, and the direction of the ray.
     """
     triangle, back = hit.triangle[chosen], hit.back[chosen]
     a, b, c = np.moveaxis(kernel.vertices[kernel.triangles[triangle]], 1, 0)
@@ -27,8 +26,6 @@ def reflect_anew(kernel, hit, chosen, number, seed):
     position = a + u * (b - a) + v * (c - a)
     normal = kernel.triangle_normal[triangle] * np.where(back, -1.0, 1.0)[:, None]
     start = kernel.caster.start(position, normal)
-    x = [scatter(5 * number + k, ANEW + 8 * seed) for k in range(5)]
-
     arriving = _one_source(kernel, position, normal, start, x[0], x[1], x[2])
     local = hemisphere(x[3], x[4])
     t1, t2 = tangents(normal)
@@ -65,15 +62,17 @@ def _one_source(kernel, position, normal, start, pick, a, b):
 def _from_one_test(sources, s, position, normal, seen):
     """(K,) irradiance per unit of strength from a test ray of weight `seen` (K,) to source s. From afar the place that
     was tested stands for the whole source: shadow and distance keep their correlation."""
-    exact = unoccluded(sources, s, position, normal) * (seen > 0)
     if sources.kind[s] != FLAT:
-        return exact
+        return unoccluded(sources, s, position, normal) * (seen > 0)
     toward = position - sources.position[s]
     height, area = dot(toward, sources.direction[s]), sources.area(s)
-    sampled = seen * np.abs(height) * area / np.pi
+    factor = seen * np.abs(height) * area / np.pi
     if not sources.two_sided[s]:
-        sampled = np.where(height > 0, sampled, 0.0)
-    return np.where(area < CLOSE * np.pi * dot(toward, toward), sampled, exact)
+        factor = np.where(height > 0, factor, 0.0)
+    close = np.flatnonzero((area >= CLOSE * np.pi * dot(toward, toward)) & (seen > 0))
+    if len(close):
+        factor[close] = unoccluded(sources, s, position[close], normal[close])
+    return factor
 
 
 def read_light(light, side):

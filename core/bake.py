@@ -38,7 +38,8 @@ PILOT = 2  # replicates of the pilot: how they scatter shows their noise
 CONTROL_POINTS = 320
 CONTROL_RAYS = 64  # of each truth at first
 MOST_CONTROL_RAYS = 1024
-UNSURE = 0.3  # of the square of the error asked for: a doubt above that asks for more control rays
+UNSURE = 0.4  # of the square of the error asked for: a doubt above that asks for more control rays
+UNSURE_ABOVE = 0.1  # the same, where the error asked for seems out of reach of what was gathered
 HELP = 0.8  # of its doubt may be left after twice as many control rays; with more they are of no use
 
 
@@ -213,13 +214,19 @@ class _Course:
         if not self.control.rays:
             yield from _each(self.control.trace(CONTROL_RAYS), self._of_control)
         self._estimate()
-        # More rays where the control itself is in doubt, as long as they help.
-        enough, doubt = UNSURE * self.settings.error**2, np.inf
-        settled = self.estimate.noise <= ENOUGH * self.settings.error
-        while settled and enough < self.estimate.doubt < HELP * doubt and self.control.rays < MOST_CONTROL_RAYS:
+        # More rays where the control itself is in doubt, as long as they help; above all before rays are spent at all
+        # points against what may be chance.
+        doubt = np.inf
+        while self.estimate.doubt < HELP * doubt and self.control.rays < MOST_CONTROL_RAYS and self._unsure():
             doubt = self.estimate.doubt
             yield from _each(self.control.trace(self.control.rays), self._of_control)
             self._estimate()
+
+    def _unsure(self):
+        """Whether the control knows too little of what replicates share, where their noise is small enough."""
+        error, found = self.settings.error, self.estimate
+        share = UNSURE if found.total <= ENOUGH * error else UNSURE_ABOVE
+        return found.noise <= ENOUGH * error and found.doubt > share * error**2
 
     def _estimate(self):
         free = self.gathering.closest > CROWDED

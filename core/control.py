@@ -14,7 +14,7 @@ from .anew import read_light, reflect_anew
 from .gather import SEEDS, TASK_RAYS, above_surface, direction_tables, world_rays
 from .kernel import blocks
 from .lights import test_rays, unoccluded
-from .sampling import R2, scatter
+from .sampling import R2, R5, scatter
 from .vectors import ratio
 
 CONTROL = 6  # salt of the sample sequences
@@ -104,12 +104,17 @@ def control_points(kernel, ids, rays, seed):
         counts = (hit.side >= 0) & above_surface(directions, geometric).reshape(-1)
         emitted = read_light(found, hit.side) * above_surface(directions, geometric).reshape(-1)
         deeper = np.zeros((len(reflected), len(counts)))
-        number = (np.repeat(own.astype(np.int64), rays) * rays + np.tile(np.arange(rays), len(own)))[counts]
-        deeper[:, counts] = reflect_anew(kernel, hit, np.flatnonzero(counts), number, seed)
+        deeper[:, counts] = reflect_anew(kernel, hit, np.flatnonzero(counts), _samples(own, rays, seed)[:, counts])
         flat = np.where(counts, read_light(reflected, hit.side), 0.0)
         truth[:, part] += _mean(emitted + deeper, rays)
         patches[:, part] = _mean(flat - deeper, rays)
     return {"truth": truth, "patches": patches}
+
+
+def _samples(ids, rays, seed):
+    """(5, K * rays) samples in [0, 1) of the rays of points ids (K,): the R5 sequence, shifted by point."""
+    shift = scatter(5 * ids.astype(np.int64)[:, None] + np.arange(5), CONTROL + 8 * seed)
+    return ((shift.T[:, :, None] + R5[:, None, None] * np.arange(rays)) % 1.0).reshape(5, -1)
 
 
 def _direct(kernel, ids, seed):

@@ -333,30 +333,30 @@ def _occlusion(look, two_sided):
     corner = (scene.vertices[scene.triangles[look.usable]] - center) * scale
     planes = [(normal, look.usable)] + ([(-normal, look.usable)] if two_sided else [])
     normal = np.concatenate([n for n, _ in planes])
-    corner = np.concatenate([corner] * len(planes))
+    corner = np.concatenate([corner[:, 0]] * len(planes))
     triangle = np.concatenate([t for _, t in planes])
-    offset = dot(normal, corner[:, 0])
+    offset = dot(normal, corner)
+    plane, of_face = _planes(normal, offset)
 
-    # How far the sources reach above the plane of each face, at least and at most.
-    least, most = np.full(len(normal), np.inf), np.full(len(normal), -np.inf)
+    # How far the sources reach above each plane, at least and at most.
+    least, most = np.full(len(plane), np.inf), np.full(len(plane), -np.inf)
     for places, direction in sources:
         if direction is not None:
-            rise = dot(normal, direction)
+            rise = dot(normal[plane], direction)
             rises = [rise - places, rise + places]
         else:
-            rises = (dot(normal, place) - offset for place in (places - center) * scale)
+            rises = (dot(normal[plane], place) - offset[plane] for place in (places - center) * scale)
         for rise in rises:
             np.minimum(least, rise, out=least)
             np.maximum(most, rise, out=most)
-    turned = most > WELD
-    if not turned.any():
+    lit = most > WELD
+    if not lit.any():
         return Effect("occlusion", False, "no face is turned to a lamp")
-    planes = np.unique(np.column_stack([normal[turned], offset[turned]]).round(6), axis=0, return_index=True)[1]
-    planes = np.flatnonzero(turned)[planes]
+    turned = lit[of_face]
+    planes, behind = plane[lit], least[lit] < -WELD
     own = np.unique(scene.triangles[triangle[turned]])
     everything = np.unique(scene.triangles[look.usable])
     inside = _outlier(scene, look, normal[planes], offset[planes], own, triangle[planes], +1)
-    behind = least[planes] < -WELD
     if inside is None and not behind.any():
         return Effect("occlusion", False, f"the faces that lamps reach are convex ({len(planes)} planes), with all lamps in front of them: nothing can cast a shadow")  # fmt: skip
     outside = _outlier(scene, look, normal[planes], offset[planes], everything, triangle[planes], -1)
@@ -370,16 +370,24 @@ def _occlusion(look, two_sided):
     return Effect("occlusion", True, inside)
 
 
+def _planes(normal, offset):
+    """The first (K,) of the faces that lie in each plane, to a millionth of the scene, and the plane (F,) of each face."""
+    x, y, z = ((normal.T + 1.0) * 1e6).round().astype(np.int64)
+    way = np.unique((x << 42) | (y << 21) | z, return_inverse=True)[1].astype(np.int64).reshape(-1)
+    return np.unique((way << 22) + (offset * 1e6).round().astype(np.int64), return_index=True, return_inverse=True)[1:]
+
+
 def _outlier(scene, look, normal, offset, vertices, triangle, sign):
     """What keeps vertices from lying all on or in front (sign -1: behind) of planes, in words; None if they do."""
     if not len(vertices) or len(normal) * len(vertices) > MOST_TESTS:
         return f"the faces that lamps could light lie in {len(normal)} planes"
     place = (scene.vertices[vertices] - scene.bounds.mean(axis=0)) / max(scene.diagonal, 1e-300)
-    step = max(1 << 22, len(vertices)) // len(vertices)
-    # Planes far apart first: most rooms are found out by one of them.
+    # Few planes first, in any order: most rooms are found out by one of them.
     order = np.argsort(scatter(np.arange(len(normal)), 17), kind="stable")
-    for k in range(0, len(order), step):
-        part = order[k : k + step]
+    most, step, done = max(1 << 22, len(vertices)) // len(vertices), 8, 0
+    while done < len(order):
+        part = order[done : done + min(step, most)]
+        done, step = done + len(part), 4 * step
         height = sign * (np.einsum("vd,pd->pv", place, normal[part]) - offset[part][:, None])
         worst = height.min(axis=1)
         if (worst < -WELD).any():

@@ -10,8 +10,9 @@ import numpy as np
 
 GOLDEN = 0.6180339887498949  # 1 / golden ratio: the best step of a one-dimensional lattice
 R2 = (0.7548776662466927, 0.5698402909980532)  # the same for two dimensions: 1/g and 1/g^2, g^3 = g + 1
-# and for four: powers of 1/g, g^5 = g + 1
+# and for four and five: powers of 1/g, g^5 = g + 1 and g^6 = g + 1
 R4 = (0.8566748838545029, 0.7338918566271260, 0.6287067210378087, 0.5385972572236101)
+R5 = np.array([0.8812714616335696, 0.7766393890897682, 0.6844301295853426, 0.6031687406857283, 0.5315553977157913])
 
 
 def lattice(n):

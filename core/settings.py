@@ -52,10 +52,10 @@ class Settings:
     @classmethod
     def for_error(cls, error, **others):
         """The knobs that reach a relative error in common interiors."""
-        fine = error < 0.0075
+        level = 0 if error >= 0.0075 else 1 if error >= 0.0035 else 2
         knobs = dict(
-            row_rays=32 if fine else 16,
-            patch_edge=1 / (100 if fine else 70),
+            row_rays=(8, 16, 32)[level],
+            patch_edge=1 / (50, 70, 100)[level],
             pilot_rays=5 if error > 0.03 else 8 if error > 0.007 else 13,
         )
         return cls(error=error, **(knobs | others))
