@@ -9,7 +9,7 @@ from ..core.settings import EFFECTS, PRESETS
 from .job import Options
 
 LATER = {
-    "--per-object": "an error per object", "--state": "state files",
+    "--state": "state files",
 }  # fmt: skip
 
 
@@ -140,6 +140,7 @@ def add_scene_options(parser):
     accuracy.add_argument("--error", type=percent, metavar="2%", help="relative error to reach")
     accuracy.add_argument("--time", type=seconds, metavar="20s", help="take so long, and make the best of it")
     accuracy.add_argument("--preset", choices=PRESETS, help="10, 2 or 0.5 %% error (default: good)")
+    parser.add_argument("--per-object", action="store_true", help="reach the error in every object, dark ones too")
     parser.add_argument(
         "--objects", action="append", default=[], metavar="NAME", help="write to this one (or glob) only"
     )
@@ -163,6 +164,7 @@ def make_options(arguments, **others):
     return Options(
         error=arguments.error or PRESETS[arguments.preset or "good"],
         time=arguments.time,
+        per_object=arguments.per_object,
         objects=tuple(arguments.objects),
         side=arguments.side,
         max_patch=arguments.max_patch,

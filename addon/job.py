@@ -26,7 +26,7 @@ NOTHING = ("",)  # objects that no name fits: a bake of them is refused
 
 @dataclass(frozen=True)
 class Options:
-    """What the user asked for. objects: names or globs of the objects to write, () for all. error: relative; time: seconds to take in its place, or None. cells,
+    """What the user asked for. objects: names or globs of the objects to write, () for all. error: relative, and per_object: of every object; time: seconds to take in its place, or None. cells,
     memory [bytes]: 0 leaves them to the machine. rows: None takes what the schedule goes with. force: effects that are
     simulated although the scene does not call for them. output: the file that the scene will be saved as, beside which
     images go.
@@ -45,6 +45,7 @@ class Options:
 
     error: float = 0.02
     time: float | None = None
+    per_object: bool = False
     layers: tuple = ("Radiosity", "Lighting")
     domain: str = "CORNER"
     objects: tuple = ()
@@ -82,6 +83,7 @@ class Options:
         """The core's Settings; diagonal: of the scene [m]."""
         settings = Settings.for_error(
             self.error,
+            per_object=self.per_object,
             seed=self.seed,
             seconds=self.time,
             side=self.side,

@@ -13,7 +13,6 @@ Choices depend on counts and variances alone, never on seconds, so that the same
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import sqrt
 
 import numpy as np
 
@@ -21,11 +20,13 @@ from .vectors import ratio
 
 AIM = 0.75  # of the error asked for: where a bake steers to
 ENOUGH = 0.95  # of the error asked for: where it stops
+AIM_EACH, ENOUGH_EACH = 0.5, 0.7  # the same for objects one by one, of which less is known
 CROWDED = 1e-3  # of the scene's diagonal: a point so near another surface lies in a corner
 DOUBT = 0.5  # standard errors of what replicates share that are taken as chance
 CERTAIN = 2.0  # and those that must be, before rays are spent against it
 SMALL = 0.4  # noise of this share of what replicates share is as good as none
 MOST_RAYS = 4096  # of one replicate
+STEPS_OF_RAYS = (8, 16, 32, 64, 128, 256, 512, 1024)  # of a replicate at some objects
 RARE = 1e-3  # objects darker than this share of the scene's mean are not looked at one by one
 
 
@@ -37,8 +38,7 @@ class Estimate:
     an open edge too. sampling, patches
     and solve: the parts of the total, whose squares add up to its own. noise: the part of it that more rays take away,
     the filter's blur with it. shared: the rest, as far as it is certain. doubt: standard error of
-    its square. objects: (O,) error of each object, NaN where it is too
-    dark or was not baked.
+    its square. objects: (O,) error of each object, NaN where it is too dark or was not baked, and object_noise (O,) the noise of it.
     """
 
     total: float = 0.0
@@ -50,6 +50,7 @@ class Estimate:
     shared: float = 0.0
     doubt: float = 0.0
     objects: np.ndarray = None
+    object_noise: np.ndarray = None
 
     def worst(self):
         """(object, error) of the object that is furthest off, or None."""
@@ -66,7 +67,7 @@ def estimate_error(points, light, control, free, bound):
     scatter = points.area * light.variance.sum(axis=0)
     count = int(points.object.max(initial=-1)) + 1
     if not power.sum() > 0:
-        return Estimate(objects=np.full(count, np.nan))
+        return Estimate(objects=np.full(count, np.nan), object_noise=np.zeros(count))
     ids, weight = control.ids, control.weight
     first, second = light.total[:, ids] - control.truth
     blurred = points.area * light.blurred
@@ -93,24 +94,30 @@ def estimate_error(points, light, control, free, bound):
     solve = min(bound * bound, total - noise)
     patches = min(max(averaged, 0.0), total - noise - solve)
     return Estimate(
-        *(float(np.sqrt(x)) for x in (total, within, max(total - patches - solve, 0.0), patches, solve, noise, certain)),
+        *(
+            float(np.sqrt(x))
+            for x in (total, within, max(total - patches - solve, 0.0), patches, solve, noise, certain)
+        ),
         float(doubt),
-        _of_objects(points, power, scatter + blurred, shared - weight * light.blurred[ids], ids, total - noise),
+        *_of_objects(points, power, scatter, blurred, shared - weight * light.blurred[ids], ids, total - noise),
     )
 
 
-def _of_objects(points, power, noise, shared, ids, common):
-    """(O,) error of each object. A few control points lie on each: what they show of it is mixed with what is known of
-    the whole, by their number."""
+def _of_objects(points, power, scatter, blurred, shared, ids, common):
+    """Error (O,) of each object, and the noise (O,) of it. A few control points lie on each: what they show of it is mixed
+    with what is known of the whole, by their number."""
     count = int(points.object.max()) + 1
     own, area = np.bincount(points.object, power, count), np.bincount(points.object, points.area, count)
-    noise = ratio(np.bincount(points.object, noise, count), own)
+    scatter, blurred = (np.bincount(points.object, part, count) for part in (scatter, blurred))
+    noise = ratio(scatter + np.maximum(blurred, 0.0), own)
     number = np.bincount(points.object[ids], minlength=count)
-    seen = ratio(np.bincount(points.object[ids], shared, count), own)
+    seen, squares = (np.bincount(points.object[ids], part, count) for part in (shared, shared * shared))
+    doubt = np.sqrt(np.maximum(number * squares - seen * seen, 0.0) / np.maximum(number - 1, 1))
+    seen = ratio(seen - DOUBT * doubt, own)
     trust = number / (number + 16.0)
-    error = np.sqrt(np.maximum(noise, 0.0) + np.maximum(trust * seen + (1 - trust) * common, 0.0))
+    error = np.sqrt(noise + np.maximum(trust * seen + (1 - trust) * common, 0.0))
     mean = np.sqrt(ratio(own, area))
-    return np.where(mean > RARE * np.sqrt(power.sum() / points.area.sum()), error, np.nan)
+    return np.where(mean > RARE * np.sqrt(power.sum() / points.area.sum()), error, np.nan), np.sqrt(noise)
 
 
 def rays_wanted(estimate, rays, error):
@@ -127,11 +134,26 @@ def rays_wanted(estimate, rays, error):
     return next((n for n in range(8, MOST_RAYS) if noise_after(estimate.noise, rays, n) <= goal), MOST_RAYS)
 
 
+def rays_by_object(estimate, rays, error):
+    """(O,) how many rays another replicate should have at the points of each object to bring it to an error; 0 where it has
+    enough, or where they would be of no use. rays: (O,) of its points so far. Few different numbers, so that few replicates do.
+    """
+    total, noise = np.nan_to_num(estimate.objects), estimate.object_noise
+    shared = np.maximum(total * total - noise * noise, 0.0)
+    goal = np.maximum((AIM_EACH * error) ** 2 - shared, SMALL * SMALL * np.maximum(shared, error**2))
+    wanted = np.zeros(len(total), np.int64)
+    short = (total > ENOUGH_EACH * error) & (noise * noise > goal) & (rays > 0)
+    for more in STEPS_OF_RAYS:
+        wanted[short] = more
+        short &= noise_after(noise, rays, more) > goal
+    return wanted
+
+
 def noise_after(noise, rays, more):
     """Square of the noise after `more` rays a point, when it was `noise` after `rays`: lattice and filter together let the
     variance fall with about the power -1.375 of their number (measured on nine scenes)."""
     x = rays / (rays + more)
-    return noise * noise * x * sqrt(sqrt(x)) * sqrt(sqrt(sqrt(x)))
+    return noise * noise * x * np.sqrt(np.sqrt(x)) * np.sqrt(np.sqrt(np.sqrt(x)))
 
 
 @dataclass(frozen=True)

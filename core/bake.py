@@ -9,7 +9,7 @@ from time import perf_counter, process_time
 
 import numpy as np
 
-from .accuracy import CROWDED, ENOUGH, MOST_RAYS, Estimate, estimate_error, price_of, rays_wanted
+from .accuracy import CROWDED, ENOUGH, MOST_RAYS, Estimate, estimate_error, price_of, rays_by_object, rays_wanted
 from .cells import peak_memory
 from .contacts import cut_contacts
 from .control import Control, draw_control
@@ -36,6 +36,9 @@ PRICED = (0.1, 0.05, 0.02, 0.01, 0.005)  # errors of the price list
 IN_TIME = 0.9  # of the time that is left is spent on another replicate
 PILOT = 2  # replicates of the pilot: how they scatter shows their noise
 CONTROL_POINTS = 320
+EACH_OBJECT = 24  # of them, if every object is to reach the error
+MOST_CONTROL_POINTS = 2000
+MOST_REPLICATES = 40  # where objects are gathered one by one
 CONTROL_RAYS = 64  # of each truth at first
 MOST_CONTROL_RAYS = 1024
 UNSURE = 0.4  # of the square of the error asked for: a doubt above that asks for more control rays
@@ -97,8 +100,9 @@ def bake(scene, settings, cells, place=None, group_of=None):
         yield from course.transport()
         yield from course.pilot()
         course.price = course.prices(PRICED)
-        while more := course.rays_wanted():
-            yield from course.gather(more)
+        while wanted := course.wanted():
+            for rays, ids in wanted:
+                yield from course.gather(rays, ids)
             yield from course.look()
         yield from course.finish()
         course.clock.lap("gather")
@@ -174,7 +178,11 @@ class _Course:
         for _ in range(PILOT):
             yield from self.gather(self.settings.pilot_rays)
         if len(self.points):
-            drawn = draw_control(self.points, self._light().total, CONTROL_POINTS, False)
+            each, count = self.settings.per_object, CONTROL_POINTS
+            if each:
+                objects = len(np.unique(self.points.object))
+                count = min(max(count, EACH_OBJECT * objects), MOST_CONTROL_POINTS)
+            drawn = draw_control(self.points, self._light().total, count, each)
             self.control = Control(*drawn, self.cells, self.settings, self._group_count)
         yield from self.look()
         self.clock.lap("survey")
@@ -184,14 +192,12 @@ class _Course:
         self.cells.start(light_arrays(points, self.solution, self.surfaces, self.sky))
         return Gathering(points, patch_light(side, self.solution), self.cells, self.settings, self._group_count)
 
-    def gather(self, rays):
-        """Another replicate of the light at the points."""
-        begun = perf_counter()
-        yield from _each(self.gathering.gather(rays), self._of_points)
-        self._gather_seconds, self._gather_rays = (
-            self._gather_seconds + perf_counter() - begun,
-            self._gather_rays + rays,
-        )
+    def gather(self, rays, ids=None):
+        """Another replicate of the light at points ids, all of them if None."""
+        begun, count = perf_counter(), len(self.points) if ids is None else len(ids)
+        yield from _each(self.gathering.gather(rays, ids), lambda done: self._of_points(done, count))
+        self._gather_seconds += perf_counter() - begun
+        self._gather_rays += rays * count / max(len(self.points), 1)
 
     def prices(self, errors):
         """A tuple of Price for each of the errors, after the pilot."""
@@ -242,13 +248,33 @@ class _Course:
         return weighted(light, self.groups) if self.groups else light
 
     @property
+    def _error(self):
+        """The error that was asked for: of the whole, or of the object that is furthest off."""
+        worst = self.estimate.worst() if self.settings.per_object else None
+        return max(self.estimate.total, worst[1] if worst else 0.0)
+
+    @property
     def _timed(self):
         return self.settings.seconds is not None
 
-    def rays_wanted(self):
-        """How many more rays a point needs, 0 if it has enough."""
+    def wanted(self):
+        """The replicates that are needed next: (rays, ids of points) of each; ids None for all points."""
         if not len(self.points):
-            return 0
+            return []
+        if rays := self._rays_wanted():
+            return [(rays, None)]
+        settings = self.settings
+        if not settings.per_object or self.estimate is None or self._timed or settings.gather_rays is not None:
+            return []
+        if len(self.gathering.replicates) >= MOST_REPLICATES:
+            return []
+        owner, so_far = self.points.object, np.zeros(len(self.estimate.objects))
+        np.maximum.at(so_far, owner, self.gathering.rays)
+        more = rays_by_object(self.estimate, so_far, settings.error)[owner]
+        return [(int(rays), np.flatnonzero(more == rays)) for rays in np.unique(more[more > 0])]
+
+    def _rays_wanted(self):
+        """How many more rays every point needs, 0 if it has enough."""
         so_far = int(self.gathering.rays.max(initial=0))
         if self.settings.gather_rays is not None:
             return max(self.settings.gather_rays - so_far, 0)
@@ -267,7 +293,7 @@ class _Course:
         else:
             light = patch_light(self.side, solution)
         points, solution, error = self.points, solution or self.solution, self.settings.error
-        reached = self.estimate is not None and self.estimate.total <= error
+        reached = self.estimate is not None and self._error <= error
         thin = tuple(thin_findings(self.scene, points))
         light = by_group = refill(points, light)
         return Bake(

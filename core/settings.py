@@ -19,7 +19,7 @@ SCHEDULES = ("dynamic", "paper")
 class Settings:
     """Knobs of a bake.
 
-    error: the relative error asked for. seed: of all sample sequences. patch_edge: longest edge of a patch, as a share
+    error: the relative error asked for. per_object: of every object that is not too dark, not of the whole alone. seed: of all sample sequences. patch_edge: longest edge of a patch, as a share
     of the scene's diagonal; None makes every polygon one patch. row_rays: of a form-factor row. patch_samples: places
     on a patch where its direct light is tested. gather_rays: of a point; None gathers until the error is reached. pilot_rays: of
     each of the first replicates. side: whose light is asked for, of each
@@ -29,6 +29,7 @@ class Settings:
     """
 
     error: float = PRESETS["good"]
+    per_object: bool = False
     seed: int = 0
     patch_edge: float | None = 1 / 70
     row_rays: int = 16
@@ -53,6 +54,8 @@ class Settings:
     def for_error(cls, error, **others):
         """The knobs that reach a relative error in common interiors."""
         level = 0 if error >= 0.0075 else 1 if error >= 0.0035 else 2
+        if others.get("per_object"):  # small objects call for finer patches than the whole does
+            level = min(level + 1, 2)
         knobs = dict(
             row_rays=(8, 16, 32)[level],
             patch_edge=1 / (50, 70, 100)[level],

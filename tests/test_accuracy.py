@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cell_radiosity.core.accuracy import AIM, Estimate, noise_after, rays_wanted
+from cell_radiosity.core.accuracy import AIM, AIM_EACH, Estimate, noise_after, rays_by_object, rays_wanted
 from cell_radiosity.core.bake import price
 from cell_radiosity.core.cells import LocalCells
 
@@ -102,3 +102,37 @@ def test_rays_wanted():
     assert noise_after(0.05, 16, n) <= (AIM * 0.01) ** 2 < noise_after(0.05, 16, n - 1)
     assert rays_wanted(Estimate(total=0.009, noise=0.009), 16, 0.01) == 0
     assert rays_wanted(Estimate(total=0.05, noise=0.005, shared=0.05), 16, 0.01) == 0
+
+
+def behind_a_door():
+    """A bright room, and a dark one beyond a gap in the wall between them."""
+    materials = [Material("white", (0.7, 0.7, 0.7)), Material("panel", (0, 0, 0), (30.0, 30.0, 30.0))]
+    panel = sheet("panel", [(0.35, 0.65, 0.98), (0.65, 0.65, 0.98), (0.65, 0.35, 0.98), (0.35, 0.35, 0.98)], 2, 2, 1)
+    bright, dark = box("bright", n=6, faces="xyYzZ"), box("dark", (1, 0, 0), (2, 1, 1), 6, faces="XyYzZ")
+    wall = sheet("wall", [(1.0, 0.25, 0.0), (1.0, 1.0, 0.0), (1.0, 1.0, 1.0), (1.0, 0.25, 1.0)], 5, 6)
+    return join_meshes([bright, dark, wall, panel], materials)
+
+
+def test_every_object_reaches_the_error_if_asked_for():
+    """The dark room, not 1e-3 of what the whole is judged by, is as right as the bright one; judged by finer bakes."""
+    scene, error = behind_a_door(), 0.03
+    fine = dict(patch_edge=1 / 100, row_rays=64, gather_rays=1500, error=0.001)
+    truth = sum(run(bake(scene, Settings(seed=s, **fine), LocalCells())).light.total for s in (101, 102)) / 2
+
+    def dark(found):
+        area = found.points.area * (found.points.smooth & (found.points.object == 1))
+        return np.sqrt((area * (found.light.total - truth) ** 2).sum() / (area * truth**2).sum())
+
+    whole, each = (run(bake(scene, Settings.for_error(error, per_object=each), LocalCells())) for each in (False, True))
+    assert whole.estimate.total < error
+    assert each.estimate.worst()[1] < error
+    assert dark(whole) > 1.2 * error > dark(each)
+
+
+def test_rays_by_object_go_where_they_are_needed():
+    """Few more where little is missing, many where much is; none where there is enough, or rays are of no use."""
+    objects, noise = np.array([0.006, 0.02, 0.08, 0.05, np.nan]), np.array([0.006, 0.02, 0.08, 0.001, 0.0])
+    more = rays_by_object(Estimate(objects=objects, object_noise=noise), np.full(5, 32.0), 0.01)
+    assert more[0] == more[3] == more[4] == 0
+    assert 0 < more[1] < more[2]
+    assert noise_after(0.02, 32, more[1]) <= (AIM_EACH * 0.01) ** 2 < noise_after(0.02, 32, more[1] / 2)
