@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from math import log
+from math import log, sqrt
 from time import perf_counter, process_time
 
 import numpy as np
@@ -22,7 +22,7 @@ from .kernel import transport_arrays
 from .lights import emitting_polygons, make_sources
 from .occlusion import find_openness
 from .paper import solve_paper
-from .patches import Patches, make_patches, patch_of_hit
+from .patches import Patches, count_patches, make_patches, patch_of_hit
 from .placing import refill, thin_findings
 from .points import Points, make_points
 from .scene import Scene, World
@@ -207,11 +207,20 @@ class _Course:
         grows = seconds["patches"] + seconds["transport"]
         spent = grows, sum(seconds[p] for p in ("survey", "patches", "transport")) - grows
         memory = used["host_mb"] + sum(used["cells_mb"])
-        own = self.settings.row_work
-        work = [Settings.for_error(error).row_work / own if own else 1.0 for error in errors]
+        work = self._row_work(errors)
         return tuple(
             price_of(error, self.estimate, self.gathering, w, spent, rate, memory) for error, w in zip(errors, work)
         )
+
+    def _row_work(self, errors):
+        """What patches and rows cost at the errors, as multiples of what they do at the settings of this bake."""
+        if self.settings.patch_edge is None:
+            return [1.0] * len(errors)
+        knobs = [self.settings, *(_eased(Settings.for_error(error), self.survey) for error in errors)]
+        edges = sorted({k.patch_edge for k in knobs})
+        count = dict(zip(edges, count_patches(self.scene, [e * self.scene.diagonal for e in edges])))
+        own, *others = (sqrt(k.row_rays) * count[k.patch_edge] for k in knobs)
+        return [work / max(own, 1.0) for work in others]
 
     def look(self):
         """Find the error as it stands; as much is spent on it as the error asked for needs."""

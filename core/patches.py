@@ -30,6 +30,7 @@ TURNS = 4  # steps per unit in which the normals of a cluster's facets agree
 WORTH = 0.7  # clusters are made if they are fewer than this share of the facets
 CUTS = 3  # planes that cut one patch where other surfaces touch it, at most
 FLAT = 0.9995  # least cosine between the triangles of one flat facet
+SLACK = 0.25  # of an edge: a face so little longer is not cut in two for it
 THIN = 1e-12  # least area of a triangle, in the square that holds its facet, that a grid is laid over
 
 
@@ -212,27 +213,54 @@ def _lay_grids(scene, triangle, facet, edge):
     if edge is None or not count:
         return grid
     corners = scene.vertices[scene.triangles[triangle]]
+    for chosen, part, owner, lay in _kinds(scene, triangle, facet, corners, leading, edge):
+        at, span = lay(scene, triangle[part], owner, corners[part], leading[part])
+        cells = _cells_of(span, edge)
+        # A sliver thinner than its digits has no frame: what it belongs to stays whole.
+        thin = np.bincount(owner, ~(np.abs(_determinant(at)) > THIN)) > 0
+        cells[thin] = 1
+        columns[chosen], rows[chosen] = cells.astype(np.int64).T
+        broad = ~thin[owner]
+        part = part[broad]
+        place[part] = (at * cells[owner, None])[broad]
+        frame[part] = _frames(corners[part], place[part])
+    return grid
+
+
+def count_patches(scene, edges):
+    """About how many patches each of some `edges` [m] would make, before surfaces in contact cut them: a list."""
+    triangle, facet = _facets(scene)
+    leading = _changes(facet)
+    corners = scene.vertices[scene.triangles[triangle]]
+    span, large = np.zeros((int(leading.sum()), 2)), np.zeros(int(leading.sum()), bool)
+    for chosen, part, owner, lay in _kinds(scene, triangle, facet, corners, leading, min(edges)):
+        span[chosen], large[chosen] = lay(scene, triangle[part], owner, corners[part], leading[part])[1], True
+    area = np.bincount(facet, scene.triangle_normal_area[1][triangle], len(large))
+    share = [
+        np.where(large, _cells_of(span, e).prod(axis=1), np.minimum(area / (CLUSTER * e) ** 2, 1.0)) for e in edges
+    ]
+    return [float(s.sum()) for s in share]
+
+
+def _cells_of(span, edge):
+    """(F, 2) columns and rows of cells of at most `edge` over facets with sides (F, 2) [m]."""
+    return np.maximum(np.ceil(span / edge - SLACK), 1)
+
+
+def _kinds(scene, triangle, facet, corners, leading, edge):
+    """The facets wider than `edge` by the way that grids are laid over them: which facets (F,), their triangles (K,), the
+    number 0, 1, ... of the facet of each (K,), and the function that lays the grids."""
+    if not len(triangle):
+        return
     low, high = _extent(corners, leading)
     large = length(high - low) > edge
     polygon = scene.triangle_polygon[triangle]
     quad = np.diff(scene.polygon_start)[polygon[leading]] == 4
-    quad &= np.bincount(facet, minlength=count) == 2
+    quad &= np.bincount(facet, minlength=len(quad)) == 2
     for chosen, lay in ((large & quad, _along_quads), (large & ~quad, _along_longest)):
         part = np.flatnonzero(chosen[facet])
         if len(part):
-            # Renumber the chosen facets 0, 1, ... and work on them alone.
-            owner = (np.cumsum(chosen) - 1)[facet[part]]
-            at, span = lay(scene, triangle[part], owner, corners[part], leading[part])
-            cells = np.maximum(np.ceil(span / edge - 1e-6), 1)
-            # A sliver thinner than its digits has no frame: what it belongs to stays whole.
-            thin = np.bincount(owner, ~(np.abs(_determinant(at)) > THIN)) > 0
-            cells[thin] = 1
-            columns[chosen], rows[chosen] = cells.astype(np.int64).T
-            broad = ~thin[owner]
-            part = part[broad]
-            place[part] = (at * cells[owner, None])[broad]
-            frame[part] = _frames(corners[part], place[part])
-    return grid
+            yield chosen, part, (np.cumsum(chosen) - 1)[facet[part]], lay
 
 
 def _along_quads(scene, triangle, owner, corners, leading):

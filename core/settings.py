@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import sqrt
 
 PRESETS = {"draft": 0.10, "good": 0.02, "fine": 0.005}  # relative errors
 
@@ -43,12 +42,6 @@ class Settings:
     side: str = "front"
     occlusion: float | None = None
     force: tuple = ()
-
-    @property
-    def row_work(self):
-        """What patches and their rows cost, in any unit; None where every polygon is a patch. Longer rows cost less than
-        their rays: half of the work is the patches' own."""
-        return sqrt(self.row_rays) / self.patch_edge**2 if self.patch_edge else None
 
     @classmethod
     def for_error(cls, error, **others):
