@@ -8,7 +8,7 @@ from fnmatch import fnmatchcase
 from math import inf
 from time import perf_counter
 
-from ..core.bake import Progress, bake, run
+from ..core.bake import Progress, bake, price, run
 from ..core.cells import make_cells
 from ..core.effects import survey
 from ..core.health import mend
@@ -143,7 +143,7 @@ class Job:
         self.cells = cells or make_cells(options.cells or default_cells())
         self._start = start_seconds + perf_counter() - begun
         self._read_seconds = self._write_seconds = 0.0
-        self.scene = self.result = self.survey = None
+        self.scene = self.result = self.survey = self.prices = None
         self.output = make_output(options)
         self.targets, self.changed = (), ()
         if read:
@@ -200,6 +200,13 @@ class Job:
             self.survey = survey(self.scene, self.options.settings(self.scene.diagonal), self.cells)
         finally:
             self.cells.clear()
+
+    def find_prices(self):
+        """The core's price list alone, as `prices`: yields Progress."""
+        settings = self.options.settings(self.scene.diagonal)
+        self.prices = yield from price(
+            self.scene, settings, self.cells, place=self.output.place, group_of=self._group_of
+        )
 
     def write(self, context):
         """Write the result into the file's meshes."""

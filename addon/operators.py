@@ -15,8 +15,9 @@ from .errors import Refused
 from .job import Job
 from .marks import is_made, made_layers, unmark_layers
 from .preferences import preference
+from .preflight import price_key
 from .running import Running, phase_text
-from .session import Session
+from .session import Session, writing
 from .shown import forget_others
 from .steps import in_steps
 from .translations import tr, tr_message
@@ -66,9 +67,11 @@ class _Work(_Idle):
     def _options(self, context):
         return context.scene.radiosity.options(context)
 
+    @writing
     def execute(self, context):
         """Work to the end, blocking: in background and from scripts."""
         try:
+            self._begin(context)
             job = Job(context, self._options(context), cells=Session.warm_cells(preference("cells")))
             run(self._work(job))
             return {run(self._finish(context, job))}
@@ -76,11 +79,20 @@ class _Work(_Idle):
             self.report({"ERROR"}, tr_message(str(problem)))
             return {"CANCELLED"}
 
+    def _begin(self, context):
+        """Note what is asked for, and of which scene."""
+        self._key, self._changes = price_key(context, self._options(context)), Session.changes
+
+    def _expected(self, context, options):
+        """Seconds that the work may take, None if nobody knows."""
+        return None
+
     def invoke(self, context, event):
         if bpy.app.background:
             return self.execute(context)
+        self._begin(context)
         job = Job(context, self._options(context), cells=Session.warm_cells(preference("cells")), read=False)
-        self._running = Session.running = Running(job, self._work)
+        self._running = Session.running = Running(job, self._work, self._expected(context, job.options))
         self._scene = context.scene.name
         self._steps = self._all(context)
         self._timer = context.window_manager.event_timer_add(TICK, window=context.window)
@@ -98,7 +110,8 @@ class _Work(_Idle):
             return {"RUNNING_MODAL"}
         if event.type == "TIMER":
             try:
-                next(self._steps)
+                with Session.write(context):
+                    next(self._steps)
             except StopIteration as end:
                 return self._end(context, end.value)
             except Exception as problem:  # whatever it was: the window must not stay in work that has ended
@@ -142,6 +155,7 @@ class _Work(_Idle):
             if (Session.edits, context.scene.frame_current) != before:
                 reading.close()
                 run(job.reading(context))
+        self._changes = Session.changes
 
     def _watch(self, context):
         """Look at the work until it has ended: a generator."""
@@ -202,7 +216,13 @@ class RADIOSITY_OT_bake(_Work, bpy.types.Operator):
 
     def _options(self, context):
         options = super()._options(context)
-        return replace(options, error=self.error / 100) if self.error else options
+        return replace(options, error=self.error / 100, time=None) if self.error else options
+
+    def _expected(self, context, options):
+        settings = context.scene.radiosity
+        if options.time is not None:
+            return options.time
+        return settings.price_of(options.error) if settings.prices_hold(context) else None
 
     def _work(self, job):
         return job.bake()
@@ -252,9 +272,8 @@ class RADIOSITY_OT_bake(_Work, bpy.types.Operator):
         result.note_survey(job.result.survey, job.changed)
         result.points, result.seconds, result.partial = len(job.result.points), job.seconds(), partial
         result.note_estimate(job.result)
-        if not partial:
-            used = job.result.cells
-            settings.note_price(job.options.error, result.seconds, used["host_mb"] + sum(used["cells_mb"]))
+        if job.result.price:
+            settings.note_prices(job.result.price, self._key, Session.changes != self._changes)
         result.layers = "" if lightmaps else ",".join(job.options.layers)
         if partial:
             text = tr("Bake ended early: the light so far was kept")
@@ -284,6 +303,24 @@ class RADIOSITY_OT_find_effects(_Work, bpy.types.Operator):
 
     def _finish(self, context, job, partial=False):
         context.scene.radiosity.result.note_survey(job.survey)
+        yield
+        return "FINISHED"
+
+
+class RADIOSITY_OT_price(_Work, bpy.types.Operator):
+    """Find out how long bakes to several errors would take in this scene, from the first rays of one"""
+
+    bl_idname = "radiosity.price"
+    bl_label = "Find Prices"
+    bl_options = {"UNDO"}
+
+    keeps = "ends it"
+
+    def _work(self, job):
+        return job.find_prices()
+
+    def _finish(self, context, job, partial=False):
+        context.scene.radiosity.note_prices(job.prices, self._key, Session.changes != self._changes)
         yield
         return "FINISHED"
 
@@ -341,6 +378,7 @@ class RADIOSITY_OT_show_layer(_OfResult, bpy.types.Operator):
 
     layer: StringProperty(name="Layer", description="Name of the layer", default="Radiosity")
 
+    @writing
     def execute(self, context):
         settings = context.scene.radiosity
         if not any(self.layer in layers_of(mesh) for mesh in baked_meshes(context.scene)):
@@ -359,6 +397,7 @@ class RADIOSITY_OT_expose(_OfResult, bpy.types.Operator):
     bl_label = "Automatic Exposure"
     bl_options = {"UNDO"}
 
+    @writing
     def execute(self, context):
         settings = context.scene.radiosity
         settings.exposure = middle_exposure(context.scene, settings.shown or "Radiosity")
@@ -382,6 +421,7 @@ class RADIOSITY_OT_set_up_materials(_OfResult, bpy.types.Operator):
         ],
     )
 
+    @writing
     def execute(self, context):
         layer = context.scene.radiosity.shown or "Radiosity"
         objects = [o for o in context.scene.objects if o.type == "MESH" and layer in layers_of(o.data)]
@@ -397,6 +437,7 @@ class RADIOSITY_OT_take_out_of_materials(_Idle, bpy.types.Operator):
     bl_label = "Take Out of Materials"
     bl_options = {"UNDO"}
 
+    @writing
     def execute(self, context):
         material_setup.take_out(material_setup.with_set_up())
         return {"FINISHED"}
@@ -409,6 +450,7 @@ class RADIOSITY_OT_clear(_OfResult, bpy.types.Operator):
     bl_label = "Clear Result"
     bl_options = {"UNDO"}
 
+    @writing
     def execute(self, context):
         material_setup.take_out(material_setup.with_set_up())
         for copy in [o for o in context.scene.objects if is_made(o)]:
@@ -423,7 +465,6 @@ class RADIOSITY_OT_clear(_OfResult, bpy.types.Operator):
         forget_others(())
         settings = context.scene.radiosity
         settings.result.clear()
-        settings.prices.clear()
         settings.shown = ""
         restore_views(context)
         return {"FINISHED"}
@@ -432,6 +473,7 @@ class RADIOSITY_OT_clear(_OfResult, bpy.types.Operator):
 CLASSES = (
     RADIOSITY_OT_bake,
     RADIOSITY_OT_find_effects,
+    RADIOSITY_OT_price,
     RADIOSITY_OT_cancel,
     RADIOSITY_OT_choose,
     RADIOSITY_OT_show_layer,

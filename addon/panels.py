@@ -16,7 +16,6 @@ from .translations import CONTEXT, tr, tr_message
 from .viewport import has_result, layer_names
 
 LETTER = 6.2  # pixels of a letter at a resolution scale of 1, about
-GOALS = (0.05, 0.02, 0.01, 0.005, 0.002, 0.001)  # errors that are offered next
 SHOWN = 12  # findings that a list shows; of the rest only the number is told
 
 
@@ -43,7 +42,8 @@ class RADIOSITY_PT_main(_Panel, bpy.types.Panel):
             _draw_running(layout, Session.running)
             return
         ready = _draw_preflight(layout, context, settings)
-        _draw_accuracy(layout, settings)
+        holds = settings.prices_hold(context)
+        _draw_accuracy(layout, settings, holds, ready)
         column = layout.column()
         column.prop(settings, "layers")
         column.prop(settings, "target")
@@ -59,7 +59,7 @@ class RADIOSITY_PT_main(_Panel, bpy.types.Panel):
         row.scale_y = 1.6
         row.enabled = ready
         row.operator("radiosity.bake", text=tr("Bake"), icon="LIGHT_SUN")
-        _draw_result(layout, settings)
+        _draw_result(layout, settings, holds)
 
 
 def _draw_running(layout, running):
@@ -81,8 +81,8 @@ def _draw_running(layout, running):
         figures.label(text=tr("Error so far: {} %", f"{100 * running.light_error:.2g}"))
     if running.bound is not None:
         figures.label(text=tr("Light still missing: at most {} %", f"{100 * running.bound:.2g}"))
-    if progress.left is not None:
-        figures.label(text=tr("About {} s left", f"{progress.left:.0f}"))
+    if running.left is not None:
+        figures.label(text=tr("About {} s left", f"{running.left:.0f}"))
 
 
 def _draw_preflight(layout, context, settings):
@@ -100,24 +100,32 @@ def _draw_preflight(layout, context, settings):
     return not look.problem
 
 
-def _draw_accuracy(layout, settings):
-    """The accuracy and, below it, what those that were baked have cost."""
+def _draw_accuracy(layout, settings, holds, ready):
+    """The accuracy and, below it, what each costs. holds: the price list does so still; ready: a bake can start."""
     row = layout.row()
     row.use_property_split = False
     row.prop(settings, "preset", expand=True)
-    if settings.preset == "error":
-        layout.prop(settings, "error")
+    if settings.preset in ("error", "time"):
+        layout.prop(settings, settings.preset)
+    costs = layout.column(align=True)
     if settings.prices:
-        column = layout.column(align=True)
+        prices = costs.column(align=True)
+        prices.active = holds
         for price in settings.prices:
             text = tr(
                 "{} % error: {} s, {} MB", f"{100 * price.error:.2g}", _seconds(price.seconds), f"{price.memory:.0f}"
             )
-            column.operator("radiosity.choose", text=text).error = price.error
+            prices.operator("radiosity.choose", text=text, depress=settings.buys(price)).error = price.error
+        if not holds:
+            _paragraph(costs, tr("The scene or the settings have changed since"), "ERROR")
+    if not (settings.prices and holds):
+        row = costs.row()
+        row.enabled = ready
+        row.operator("radiosity.price", icon="PREVIEW_RANGE")
 
 
-def _draw_result(layout, settings):
-    """What the last bake has reached, how it is shown, and the way on."""
+def _draw_result(layout, settings, holds):
+    """What the last bake has reached, and the way on. holds: the price list does so still."""
     result = settings.result
     if result.points < 0:
         return
@@ -133,14 +141,12 @@ def _draw_result(layout, settings):
         _paragraph(box, tr("{} % was asked for and could not be reached", f"{100 * result.asked:.2g}"), "INFO")
     if result.worst:
         box.label(text=tr("Least exact: {}, {} %", result.worst, f"{100 * result.worst_error:.2g}"))
-    goal = next((error for error in GOALS if error < 0.7 * result.error), None)
+    goal = result.goal()
     if goal is not None:
-        price = next((p.seconds for p in settings.prices if abs(p.error - goal) < 1e-6), None)
-        text = (
-            tr("To reach {} %: about {} s", f"{100 * goal:g}", _seconds(price))
-            if price
-            else tr("To reach {} %", f"{100 * goal:g}")
-        )
+        seconds = settings.price_of(goal) if holds else None
+        text = tr("To reach {} %", f"{100 * goal:g}")
+        if seconds is not None:
+            text = tr("To reach {} %: about {} s more", f"{100 * goal:g}", _seconds(seconds))
         box.operator("radiosity.bake", text=text).error = 100 * goal
 
 
@@ -264,7 +270,7 @@ def _list(layout, rows):
 
 def _paragraph(layout, text, icon):
     """A text on as many lines as it needs."""
-    region, scale = bpy.context.region, bpy.context.preferences.system.ui_scale
+    region, scale = bpy.context.region, bpy.context.preferences.system.ui_scale or 1.0  # 0: no window
     letters = max(int((region.width if region else 300) / (LETTER * scale)) - 8, 16)
     column = layout.column(align=True)
     column.scale_y = 0.8

@@ -3,29 +3,34 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from hashlib import blake2b
 
 import bpy
 
 from ..core.health import Finding
-from .job import NOTHING, wanted_by
+from .job import NOTHING, Options, default_cells, wanted_by
 from .marks import is_made, made_layers
+from .preferences import preference
 from .read_scene import SOLID, rendered_names
 from .session import Session
 from .write_result import result_copy
 
 LIGHTS = {"LIGHT"}
+# Of the options, what a price list does not depend on.
+ACCURACY = ("error", "time", "layers", "domain", "strict", "output", "bytes", "exposure", "channel", "image")
 
 
 @dataclass(frozen=True)
 class Preflight:
     """objects, corners: how many meshes and face corners get their light. findings: of objects that need a word, with
-    what will be done. problem: why a bake cannot start, or ""."""
+    what will be done. problem: why a bake cannot start, or "". names: of all objects that take part."""
 
     objects: int
     corners: int
     findings: tuple
     problem: str = ""
+    names: tuple = ()
 
 
 _last = (None, None)
@@ -34,11 +39,20 @@ _last = (None, None)
 def preflight(context, options):
     """The Preflight of the context's scene; looked up again only after an edit."""
     global _last
-    key = (Session.edits, context.scene.name, context.view_layer.name, context.mode, options.objects, options.layers,
+    key = (Session.edits, Session.writes, context.scene.name, context.view_layer.name, context.mode, options.objects, options.layers,
            options.shared, bpy.data.filepath)  # fmt: skip
     if _last[0] != key:
         _last = (key, _look(context, options))
     return _last[1]
+
+
+def price_key(context, options):
+    """What the price list of a scene depends on beside its objects' data, as one word: which of them take part, the
+    settings, and the cells."""
+    usual = {field: getattr(Options, field) for field in ACCURACY}
+    names = preflight(context, options).names
+    told = repr((replace(options, **usual), names, preference("cells") or default_cells()))
+    return blake2b(told.encode(), digest_size=8).hexdigest()
 
 
 def _look(context, options):
@@ -47,7 +61,7 @@ def _look(context, options):
     rendered = rendered_names(scene)
     users = Counter(o.data for o in scene.objects if o.type == "MESH")
     wanted = wanted_by(options.objects)
-    findings, objects, corners, light, shapes = [], 0, 0, _world_shines(scene), 0
+    findings, objects, corners, light, shapes, names = [], 0, 0, _world_shines(scene), 0, []
 
     def say(object, finding, action):
         findings.append(Finding(object.name, finding, action))
@@ -63,6 +77,7 @@ def _look(context, options):
             if not object.visible_get():
                 say(object, "it is hidden in the viewport", "it is left out: it casts neither light nor shadow")
                 continue
+        names.append(object.name)
         shapes += object.type in SOLID
         light |= object.type == "LIGHT" or _may_shine(object)
         if object.type != "MESH":
@@ -97,7 +112,7 @@ def _look(context, options):
         )
     elif not light:
         problem = "Nothing gives light: add a lamp, an emitting material or a world color"
-    return Preflight(objects, corners, tuple(findings), problem)
+    return Preflight(objects, corners, tuple(findings), problem, tuple(names))
 
 
 def _world_shines(scene):

@@ -19,10 +19,15 @@ from ..core.layers import LAYERS
 from ..core.settings import EFFECTS, PRESETS
 from .job import NOTHING, Options
 from .preferences import PRESET_ITEMS, preference
+from .preflight import price_key
+from .session import writing
 from .translations import CONTEXT
 from .viewport import show
 
-PRESET_NAMES = [*(item[0] for item in PRESET_ITEMS), "error"]
+PRESET_NAMES = [*(item[0] for item in PRESET_ITEMS), "error", "time"]
+
+GOALS = (0.05, 0.02, 0.01, 0.005, 0.002, 0.001)  # errors that are offered next
+NEXT = 0.7  # of the error reached, which the next one must be below
 
 
 def _preset(settings):
@@ -34,6 +39,7 @@ def _choose_preset(settings, number):
     settings.chosen = number
 
 
+@writing
 def _show(settings, context):
     """Show the result at the exposure that was just set."""
     if settings.shown:
@@ -55,7 +61,7 @@ class RADIOSITY_PG_finding(bpy.types.PropertyGroup):
 
 
 class RADIOSITY_PG_price(bpy.types.PropertyGroup):
-    """What an accuracy has cost: error asked for, seconds, and memory [MB]."""
+    """What an accuracy costs: error asked for, seconds, and memory [MB]."""
 
     error: FloatProperty()
     seconds: FloatProperty()
@@ -78,6 +84,14 @@ class RADIOSITY_PG_result(bpy.types.PropertyGroup):
     health: CollectionProperty(type=RADIOSITY_PG_finding)
     ignored: CollectionProperty(type=RADIOSITY_PG_finding)
 
+    def goal(self):
+        """The error that is worth offering next: None if nothing is known of this one, or rays are of no use."""
+        if self.partial:
+            return self.asked if self.asked > 0 else None
+        if self.error < 0 or not self.converged:
+            return None
+        return next((error for error in GOALS if error < NEXT * self.error), None)
+
     def clear(self):
         """Forget the bake."""
         for name in ("points", "seconds", "error", "asked", "converged", "layers", "worst", "worst_error", "partial"):
@@ -86,11 +100,11 @@ class RADIOSITY_PG_result(bpy.types.PropertyGroup):
             found.clear()
 
     def note_estimate(self, bake):
-        """Keep what is known of a Bake's error."""
-        estimate = bake.estimate
+        """Keep what is known of a Bake's error, and which one was asked for."""
+        estimate, self.asked = bake.estimate, bake.settings.error
         if estimate is None:
             return
-        self.error, self.asked, self.converged = estimate.total, bake.settings.error, bake.converged
+        self.error, self.converged = estimate.total, bake.converged
         worst = estimate.worst()
         if worst:
             self.worst, self.worst_error = bake.scene.objects[worst[0]], worst[1]
@@ -117,7 +131,11 @@ class RADIOSITY_PG_settings(bpy.types.PropertyGroup):
     preset: EnumProperty(
         name="Accuracy",
         description="How far the light may be off, root mean square over the surface, relative to the light itself",
-        items=[*PRESET_ITEMS, ("error", "Error", "An error of your own")],
+        items=[
+            *PRESET_ITEMS,
+            ("error", "Error", "An error of your own"),
+            ("time", "Time", "As exact as a time of your own allows"),
+        ],
         get=_preset,
         set=_choose_preset,
         translation_context=CONTEXT,
@@ -126,6 +144,11 @@ class RADIOSITY_PG_settings(bpy.types.PropertyGroup):
         name="Error",
         description="Relative error of the light to reach, root mean square over the surface, in percent",
         subtype="PERCENTAGE", default=2.0, min=0.05, max=100.0, precision=2,
+    )  # fmt: skip
+    time: FloatProperty(
+        name="Time",
+        description="How long a bake may take, in seconds, reading and writing left out; the error is as small as that allows",
+        subtype="TIME_ABSOLUTE", unit="TIME_ABSOLUTE", default=20.0, min=0.1, soft_max=3600.0, precision=1, step=100,
     )  # fmt: skip
     layers: EnumProperty(
         name="Layers",
@@ -342,21 +365,40 @@ class RADIOSITY_PG_settings(bpy.types.PropertyGroup):
     shown: StringProperty(options={"HIDDEN"})
     result: PointerProperty(type=RADIOSITY_PG_result)
     prices: CollectionProperty(type=RADIOSITY_PG_price)
+    priced: StringProperty(options={"HIDDEN"})
+    edited: BoolProperty(options={"HIDDEN"})
 
-    def note_price(self, error, seconds, memory):
-        """Keep what an accuracy has cost, in a list from the coarsest to the finest."""
-        rows = {round(p.error, 7): (p.seconds, p.memory) for p in self.prices}
-        rows[round(error, 7)] = seconds, memory
+    def note_prices(self, prices, key, edited=False):
+        """Keep what accuracies cost, a tuple of the core's Price. key: what it depends on, see preflight.price_key;
+        edited: the scene was changed since it was read."""
         self.prices.clear()
-        for error, (seconds, memory) in sorted(rows.items(), reverse=True):
+        for price in prices:
             row = self.prices.add()
-            row.error, row.seconds, row.memory = error, seconds, memory
+            row.error, row.seconds, row.memory = price.error, price.seconds, price.memory_mb
+        self.priced, self.edited = key, edited
+
+    def prices_hold(self, context):
+        """Whether what the price list says is known to be so still."""
+        return not self.edited and self.priced == price_key(context, self.options(context))
+
+    def buys(self, price):
+        """Whether the accuracy that is chosen is that of a price, or a time the finest one that it pays for."""
+        if self.preset == "time":
+            error = min((p.error for p in self.prices if p.seconds <= self.time), default=0.0)
+            return price.error == error
+        error = self.error / 100 if self.preset == "error" else PRESETS[self.preset]
+        return abs(error - price.error) < 1e-3 * price.error
+
+    def price_of(self, error):
+        """Seconds that an error costs by the price list; None if it does not say."""
+        return next((price.seconds for price in self.prices if abs(price.error - error) < 1e-3 * error), None)
 
     def options(self, context):
         """The Options of a bake with these settings."""
         names = (glob.escape(o.name) for o in context.selected_objects if o.type == "MESH")
         return Options(
-            error=PRESETS.get(self.preset, self.error / 100),
+            error=self.error / 100 if self.preset == "error" else PRESETS.get(self.preset, PRESETS["good"]),
+            time=self.time if self.preset == "time" else None,
             layers=tuple(name for name in LAYERS if name in self.layers),
             domain=self.domain,
             objects=(tuple(sorted(names)) or NOTHING) if self.selected else (),

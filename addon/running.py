@@ -15,15 +15,16 @@ PHASES = {
 
 class Running:
     """The work of a Job in a thread of its own: numpy and pipes alone. work: function of the job, a generator of Progress.
+    expected: seconds that it may take, or None.
 
     phase: what the window is at ("read", "work", "write"). waiting: what it waits for, or "". progress: the last
     Progress, or None. bound, light_error: the last that are known of the light, or None. error: what the work has failed with, or None. brought: it has brought something to write;
     partial: it was ended early, with the light that was there. cost: seconds that the last look at the light took.
     """
 
-    def __init__(self, job, work):
+    def __init__(self, job, work, expected=None):
         self.job, self.phase, self.waiting = job, "read", ""
-        self._work = work
+        self._work, self._expected = work, expected
         self.progress = self.bound = self.light_error = self.error = None
         self.cost = 0.0
         self.brought = self.partial = False
@@ -43,6 +44,14 @@ class Running:
     @property
     def cancelled(self):
         return self._cancelled.is_set()
+
+    @property
+    def left(self):
+        """Seconds left of the work, a guess; None if there is none."""
+        progress = self.progress
+        if progress is None or progress.left is not None or self._expected is None:
+            return progress and progress.left
+        return max(self._expected - progress.seconds, 0.0)
 
     def cancel(self):
         """Ask the work to end early, with the light it has."""

@@ -111,13 +111,13 @@ def bake(scene, settings, cells, place=None, group_of=None):
         cells.clear()
 
 
-def price(scene, settings, cells, errors=PRICED):
+def price(scene, settings, cells, errors=PRICED, place=None, group_of=None):
     """The price list of a scene, a tuple of Price for each of the errors: what a bake finds out with its pilot. A generator
-    that yields Progress; see `bake`."""
+    that yields Progress, which has no light to take; see `bake`."""
     try:
-        course = _Course(scene, settings, cells, None, None)
-        yield from course.transport()
-        yield from course.pilot()
+        course = _Course(scene, settings, cells, place, group_of)
+        for part in (course.transport(), course.pilot()):
+            yield from _each(part, lambda progress: replace(progress, take=None))
         return course.prices(errors)
     finally:
         cells.clear()
@@ -195,7 +195,8 @@ class _Course:
     def gather(self, rays, ids=None):
         """Another replicate of the light at points ids, all of them if None."""
         begun, count = perf_counter(), len(self.points) if ids is None else len(ids)
-        yield from _each(self.gathering.gather(rays, ids), lambda done: self._of_points(done, count))
+        timed = begun if self.price else None  # while the pilot runs nobody knows how much there is to do
+        yield from _each(self.gathering.gather(rays, ids), lambda done: self._of_points(done, count, timed))
         self._gather_seconds += perf_counter() - begun
         self._gather_rays += rays * count / max(len(self.points), 1)
 
@@ -381,10 +382,10 @@ class _Course:
             take = lambda: self.result(done.solution())
         return Progress("transport", float(share), clock.total(), clock.rays(), done.number, done.bound, take=take)
 
-    def _of_points(self, done, count=None):
-        """Progress of the gather, with a guess at the seconds left."""
+    def _of_points(self, done, count=None, begun=None):
+        """Progress of the gather; begun: when it did, for a guess at the seconds left."""
         share, clock = done / max(count or len(self.points), 1), self.clock
-        left = clock.since_lap() * (1 - share) / max(share, 1e-9)
+        left = None if begun is None else (perf_counter() - begun) * (1 - share) / max(share, 1e-9)
         return Progress(
             "gather", share, clock.total(), clock.rays(), points=done, left=left,
             error=self.estimate and self.estimate.total, take=self.gathering and self.result,
@@ -456,9 +457,6 @@ class _Clock:
 
     def total(self):
         return perf_counter() - self._begun
-
-    def since_lap(self):
-        return perf_counter() - self._lap
 
     def rays(self):
         return self._cells.usage.rays - self._usage.rays

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -11,11 +12,14 @@ import pytest
 
 import cell_radiosity
 from cell_radiosity import addon
+from cell_radiosity.addon import panels
 from cell_radiosity.addon.job import Options
 from cell_radiosity.addon.preflight import preflight
+from cell_radiosity.addon.running import Running
 from cell_radiosity.addon.session import Session
 from cell_radiosity.addon.translations import NUMBER, tr, tr_message
 from cell_radiosity.addon.translations_de import GERMAN
+from cell_radiosity.core.bake import Progress
 
 from blender_scenes import bake_ours, colors, cube, diffuse, empty, glowing, lamp, plane
 
@@ -111,16 +115,214 @@ def test_the_button_gives_the_bits_of_the_command(room, cells):
     assert {e.name for e in result.effects} >= {"lamps", "emission", "sky"}
 
 
-def test_what_bakes_have_cost_is_kept_and_chosen_from(room):
-    for error in (5.0, 10.0, 5.0):
-        assert bpy.ops.radiosity.bake(error=error) == {"FINISHED"}
-    prices = room.radiosity.prices
-    assert [round(p.error, 4) for p in prices] == [0.1, 0.05]
-    assert all(p.seconds > 0 and p.memory > 0 for p in prices)
-    bpy.ops.radiosity.choose(error=prices[1].error)
-    assert room.radiosity.options(bpy.context).error == pytest.approx(0.05)
+def prices_of(room):
+    return [(p.error, p.seconds, p.memory) for p in room.radiosity.prices]
+
+
+def test_prices_are_found_without_a_bake_and_chosen_from(room):
+    settings = room.radiosity
+    assert bpy.ops.radiosity.price() == {"FINISHED"}
+    assert not any(m.color_attributes for m in bpy.data.meshes)
+    errors, seconds, memory = zip(*prices_of(room))
+    assert errors == pytest.approx([0.1, 0.05, 0.02, 0.01, 0.005])
+    assert list(seconds) == sorted(seconds)
+    assert min(seconds) > 0
+    assert min(memory) > 0
+    assert settings.prices_hold(bpy.context)
+    bpy.ops.radiosity.choose(error=errors[3])
+    assert settings.options(bpy.context).error == pytest.approx(0.01)
+    assert [settings.buys(p) for p in settings.prices] == [False, False, False, True, False]
+    settings.preset = "fine"
+    assert [settings.buys(p) for p in settings.prices] == [False, False, False, False, True]
+    settings.preset = "time"
+    for seconds, row in ((0.1, None), (3.0, 2), (1000.0, 4)):
+        settings.time = seconds
+        for k, price in enumerate(settings.prices):
+            price.seconds = (0.2, 1.0, 3.0, 9.0, 27.0)[k]
+        assert [settings.buys(p) for p in settings.prices] == [k == row for k in range(5)]
+
+
+def test_a_bake_brings_the_prices_its_pilot_has_found(room):
+    """They hold until something changes, whatever the bake itself has written."""
+    bpy.ops.radiosity.bake()
+    assert len(prices_of(room)) == 5
+    assert room.radiosity.prices_hold(bpy.context)
+    room.radiosity.exposure = 1.0
+    bpy.ops.radiosity.show_layer(layer="Lighting")
+    bpy.ops.radiosity.set_up_materials(kind="EMISSION")
+    bpy.ops.radiosity.take_out_of_materials()
     bpy.ops.radiosity.clear()
-    assert not prices
+    bpy.context.view_layer.update()
+    assert room.radiosity.prices_hold(bpy.context)
+
+
+CHANGES = {
+    "an object is moved": lambda: setattr(bpy.data.objects["cube"], "location", (0.5, 0.0, 0.6)),
+    "a mesh is edited": lambda: (setattr(bpy.data.meshes["cube"].vertices[0], "co", (2, 0, 0)),
+                                 bpy.data.meshes["cube"].update()),
+    "a modifier is added": lambda: bpy.data.objects["cube"].modifiers.new("Subdivision", "SUBSURF"),
+    "a lamp is brighter": lambda: setattr(bpy.data.lights[0], "energy", 7.0),
+    "a material is changed": lambda: setattr(
+        next(n for n in bpy.data.materials["gray"].node_tree.nodes if n.type == "BSDF_DIFFUSE").inputs["Color"],
+        "default_value", (0.1, 0.2, 0.3, 1.0)),
+    "a material is taken away": lambda: setattr(bpy.data.objects["plane"].material_slots[0], "material", None),
+    "the world is changed": lambda: setattr(bpy.data.worlds[0], "color", (0.5, 0.5, 0.5)),
+    "an object is hidden": lambda: bpy.data.objects["cube"].hide_set(True),
+    "an object is not rendered": lambda: setattr(bpy.data.objects["cube"], "hide_render", True),
+    "an object is added": lambda: cube("more"),
+    "an object is removed": lambda: bpy.data.objects.remove(bpy.data.objects["cube"]),
+    "another side is asked for": lambda: setattr(bpy.context.scene.radiosity, "side", "lit"),
+    "lightmaps are asked for": lambda: setattr(bpy.context.scene.radiosity, "target", "lightmap"),
+    "an animated object is elsewhere": lambda: bpy.context.scene.frame_set(10),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_prices_are_known_to_be_old(room, change):
+    bpy.data.objects["cube"].keyframe_insert("location", frame=1)
+    bpy.data.objects["cube"].location.z = 1.0
+    bpy.data.objects["cube"].keyframe_insert("location", frame=20)
+    bpy.ops.radiosity.price()
+    bpy.context.view_layer.update()
+    assert room.radiosity.prices_hold(bpy.context)
+    CHANGES[change]()
+    bpy.context.view_layer.update()
+    assert not room.radiosity.prices_hold(bpy.context)
+    assert len(prices_of(room)) == 5  # they are kept
+    bpy.ops.radiosity.price()
+    assert room.radiosity.prices_hold(bpy.context)
+
+
+def test_prices_hold_whatever_does_not_matter(room, tmp_path):
+    bpy.ops.radiosity.price()
+    eye = bpy.data.objects.new("eye", bpy.data.cameras.new("eye"))
+    for change in (
+        lambda: bpy.data.objects["cube"].select_set(True),
+        lambda: setattr(bpy.context.view_layer.objects, "active", bpy.data.objects["plane"]),
+        lambda: setattr(room.radiosity, "preset", "fine"),
+        lambda: setattr(room.radiosity, "layers", {"Direct"}),
+        lambda: setattr(room.render, "resolution_x", 123),
+        lambda: setattr(eye, "location", (1.0, 2.0, 3.0)),
+        lambda: setattr(room.cursor, "location", (1.0, 2.0, 3.0)),
+    ):
+        change()
+        bpy.context.view_layer.update()
+        assert room.radiosity.prices_hold(bpy.context)
+    path = str(tmp_path / "priced.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    bpy.ops.wm.read_homefile(use_empty=True)
+    bpy.ops.wm.open_mainfile(filepath=path)
+    bpy.context.view_layer.update()
+    assert len(prices_of(bpy.context.scene)) == 5
+    assert bpy.context.scene.radiosity.prices_hold(bpy.context)
+
+
+def test_an_accuracy_is_an_error_or_a_time(room):
+    settings = room.radiosity
+    settings.preset, settings.error, settings.time = "error", 3.0, 7.0
+    assert settings.options(bpy.context).error == pytest.approx(0.03)
+    assert settings.options(bpy.context).time is None
+    settings.preset = "time"
+    assert settings.options(bpy.context).time == 7.0
+    assert settings.options(bpy.context).error == Options().error  # as on the command line
+    settings.time = 0.5
+    bpy.ops.radiosity.bake()
+    timed = settings.result.error
+    settings.preset = "draft"
+    bpy.ops.radiosity.bake()
+    draft = settings.result.error
+    assert 0 < timed < draft
+    settings.preset = "time"
+    bpy.ops.radiosity.bake(error=10.0)  # an error in place of what the panel has
+    assert settings.result.error == draft
+
+
+def test_the_next_error_that_is_worth_it(room):
+    result = room.radiosity.result
+    for error, converged, partial, asked, goal in (
+        (0.08, True, False, 0.1, 0.05),
+        (0.014, True, False, 0.02, 0.005),
+        (0.0145, True, False, 0.02, 0.01),
+        (0.0005, True, False, 0.001, None),  # there is none
+        (0.08, False, False, 0.02, None),  # rays are of no use
+        (-1.0, True, False, 0.02, None),  # nothing is known
+        (-1.0, False, True, 0.02, 0.02),  # what was broken off
+        (0.08, False, True, 0.02, 0.02),
+    ):
+        result.error, result.converged, result.partial, result.asked = error, converged, partial, asked
+        found = result.goal()
+        assert found is None if goal is None else found == pytest.approx(goal), (error, converged, partial)
+    result.clear()
+
+
+class Drawn:
+    """A layout that only notes what is drawn: texts, and the properties that buttons are given."""
+
+    def __init__(self):
+        self.texts, self.buttons = [], []
+
+    def operator(self, name, text="", **_):
+        self.texts.append(text)
+        self.buttons.append(SimpleNamespace(name=name))
+        return self.buttons[-1]
+
+    def label(self, *_, text="", **__):
+        self.texts.append(text)
+
+    progress = prop = label
+
+    def panel(self, *_, **__):
+        return self, self
+
+    def column(self, **_):
+        return self
+
+    row = box = column
+
+
+def drawn(panel=panels.RADIOSITY_PT_main):
+    layout = Drawn()
+    panel.draw(SimpleNamespace(layout=layout), bpy.context)
+    return layout
+
+
+def test_the_panel_shows_prices_and_the_way_on(room):
+    settings = room.radiosity
+    assert [b.name for b in drawn().buttons] == ["radiosity.price", "radiosity.bake"]
+    bpy.ops.radiosity.bake()
+    settings.result.error, settings.result.converged = 0.014, True
+    settings.prices[3].seconds, settings.prices[4].seconds = 14.2, 100.0
+    look = drawn()
+    assert "1 % error: 14 s, " in " ".join(look.texts)
+    assert look.texts[-1] == "To reach 0.5 %: about 100 s more"
+    assert look.buttons[-1].error == pytest.approx(0.5)
+    assert "radiosity.price" not in [b.name for b in look.buttons]  # it is known
+    bpy.data.lights[0].energy *= 2
+    bpy.context.view_layer.update()
+    look = drawn()
+    assert "The scene or the settings have changed" in " ".join(look.texts)
+    assert look.texts[-1] == "To reach 0.5 %"  # nobody knows how long
+    assert "radiosity.price" in [b.name for b in look.buttons]
+
+
+def test_while_it_runs_the_panel_shows_how_far_it_is(room, monkeypatch):
+    running = Running(None, None, expected=20.0)
+    monkeypatch.setattr(Session, "running", running)
+    assert drawn().texts[:1] == ["Reading the scene"]
+    running.phase = "work"
+    running.progress = Progress("transport", 0.4, 4.0, rays=2_000_000)
+    running.bound, running.light_error = 0.031, 0.0123
+    texts = drawn().texts
+    for part in (
+        "Light between patches  40 %",
+        "Error so far: 1.2 %",
+        "at most 3.1 %",
+        "About 16 s left",
+        "2.0 million",
+    ):
+        assert any(part in text for text in texts), part
+    running.progress = Progress("gather", 0.4, 4.0, left=7.0)
+    assert any("About 7 s left" in text for text in drawn().texts)
 
 
 def test_preflight_names_what_stands_in_the_way(room):

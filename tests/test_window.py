@@ -84,6 +84,35 @@ def test_undo_takes_a_bake_back_whole(box):
     box.until(f"{LAYERS} == ['Lighting', 'Radiosity']")
 
 
+def test_prices_are_found_beside_the_window(box):
+    """They hold through a bake and its light on the screen, and are old once an object has moved."""
+    box.ask(PRESS_BAKE.replace("radiosity.bake", "radiosity.price"))
+    assert box.ask(f"answer = {RUNNING}")  # the window goes on
+    box.until(IDLE)
+    state = f"answer = [len({SETTINGS}.prices), {SETTINGS}.prices_hold(bpy.context), {LAYERS}]"
+    assert box.ask(state) == [5, True, []]
+    box.ask(f"{SETTINGS}.preset = 'draft'")
+    box.ask(PRESS_BAKE)
+    box.until(RUNNING)
+    box.until(IDLE)
+    time.sleep(0.5)
+    assert box.ask(state) == [5, True, ["Lighting", "Radiosity"]]
+    box.ask("bpy.data.objects['room'].location.x += 0.1")
+    box.until(f"not {SETTINGS}.prices_hold(bpy.context)")
+
+
+def test_escape_ends_the_search_for_prices(hall):
+    hall.press("Escape")
+    hall.until(IDLE)
+    prices = f"[p.seconds for p in {SETTINGS}.prices]"
+    before = hall.ask(f"answer = {prices}")
+    hall.ask(PRESS_BAKE.replace("radiosity.bake", "radiosity.price"))
+    hall.until(f"{SESSION}.running.phase == 'work'")
+    hall.press("Escape")
+    hall.until(IDLE)
+    assert hall.ask(f"answer = {prices}") == before
+
+
 def test_light_comes_before_the_end_and_escape_keeps_it(hall):
     hall.until(FIRST_LIGHT)
     assert hall.ask(f"answer = {RUNNING}")
@@ -129,6 +158,15 @@ def test_objects_deleted_and_edited_during_a_bake_are_named(hall):
     assert "deleted" in found[names[0]]
     assert "changed" in found[names[1]]
     assert hall.ask(f"answer = {LAYERS}") == ["Lighting", "Radiosity"]
+
+
+def test_an_edit_during_a_bake_makes_its_prices_old(hall):
+    hall.until(f"{SESSION}.running.light_error is not None")
+    hall.ask("next(o for o in bpy.context.scene.objects if o.type == 'MESH').location.x += 0.1")
+    time.sleep(0.5)
+    hall.press("Escape")
+    hall.until(IDLE)
+    assert hall.ask(f"answer = [len({SETTINGS}.prices), {SETTINGS}.prices_hold(bpy.context)]") == [5, False]
 
 
 def test_undo_during_a_bake_is_safe(hall):
