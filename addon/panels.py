@@ -238,7 +238,7 @@ class RADIOSITY_PT_advanced(_Panel, bpy.types.Panel):
         layout.use_property_decorate = False
         for name in _of_target(settings):
             layout.prop(settings, name)
-        for name in ("side", "shared", "whole", "patch", "schedule", "rows", "force", "seed"):
+        for name in ("per_object", "side", "shared", "whole", "patch", "schedule", "rows", "force", "seed"):
             row = layout.row()
             row.enabled = name != "patch" or not settings.whole
             row.prop(settings, name)

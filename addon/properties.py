@@ -351,6 +351,10 @@ class RADIOSITY_PG_settings(bpy.types.PropertyGroup):
         ],
         default="auto",
     )
+    per_object: BoolProperty(
+        name="In Every Object",
+        description="Reach the error in every object, dark ones too, and not only over all of them together",
+    )
     force: BoolProperty(
         name="Force All Effects",
         description="Simulate every effect of light, also those that the scene does not call for",
@@ -398,6 +402,7 @@ class RADIOSITY_PG_settings(bpy.types.PropertyGroup):
         names = (glob.escape(o.name) for o in context.selected_objects if o.type == "MESH")
         return Options(
             error=self.error / 100 if self.preset == "error" else PRESETS.get(self.preset, PRESETS["good"]),
+            per_object=self.per_object,
             time=self.time if self.preset == "time" else None,
             layers=tuple(name for name in LAYERS if name in self.layers),
             domain=self.domain,

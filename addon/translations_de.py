@@ -177,6 +177,8 @@ GERMAN = {
     "32-bit floats, linear and unbounded": "32-Bit-Gleitkommazahlen, linear und unbegrenzt",
     "PNG": "PNG",
     "16-bit numbers, linear; the image's custom property scale turns them into light": "16-Bit-Zahlen, linear; die Eigenschaft scale des Bildes macht Licht aus ihnen",
+    "In Every Object": "In jedem Objekt",
+    "Reach the error in every object, dark ones too, and not only over all of them together": "Den Fehler in jedem Objekt erreichen, auch in dunklen, und nicht nur über alle zusammen",
     "Force All Effects": "Alle Effekte erzwingen",
     "Simulate every effect of light, also those that the scene does not call for": "Jeden Effekt des Lichts simulieren, auch solche, die die Szene nicht verlangt",
     # Buttons.

@@ -96,7 +96,8 @@ def test_settings_say_what_the_command_line_says_by_default(room):
     assert room.radiosity.preset == "good"
     options = room.radiosity.options(bpy.context)
     assert options == Options()
-    room.radiosity.selected = True
+    room.radiosity.per_object = room.radiosity.selected = True
+    assert room.radiosity.options(bpy.context).per_object
     for o in room.objects:
         o.select_set(o.name == "cube")
     assert room.radiosity.options(bpy.context).objects == ("cube",)
