@@ -26,6 +26,7 @@ DOUBT = 0.5  # standard errors of what replicates share that are taken as chance
 CERTAIN = 2.0  # and those that must be, before rays are spent against it
 SMALL = 0.4  # noise of this share of what replicates share is as good as none
 MOST_RAYS = 4096  # of one replicate
+WORTH = 0.3  # of the rays so far: fewer in another replicate would not be worth another look
 STEPS_OF_RAYS = (8, 16, 32, 64, 128, 256, 512, 1024)  # of a replicate at some objects
 RARE = 1e-3  # objects darker than this share of the scene's mean are not looked at one by one
 
@@ -131,7 +132,8 @@ def rays_wanted(estimate, rays, error):
     goal = max((AIM * error) ** 2 - estimate.shared**2, (SMALL * max(estimate.shared, error)) ** 2)
     if estimate.noise**2 <= goal:
         return 0
-    return next((n for n in range(8, MOST_RAYS) if noise_after(estimate.noise, rays, n) <= goal), MOST_RAYS)
+    least = max(8, int(WORTH * rays))
+    return next((n for n in range(least, MOST_RAYS) if noise_after(estimate.noise, rays, n) <= goal), MOST_RAYS)
 
 
 def rays_by_object(estimate, rays, error):
