@@ -31,7 +31,7 @@ def disk(toward, half, radiance):
 
 
 def baked(scene, **settings):
-    knobs = {"error": 0.02, "patch_edge": 1 / 20, "gather_rays": 256, **settings}
+    knobs = {"error": 0.02, "patch_edge": 1 / 20, "row_rays": 64, "gather_rays": 256, **settings}
     return run(bake(scene, Settings(**knobs), LocalCells()))
 
 
