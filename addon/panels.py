@@ -199,7 +199,9 @@ class RADIOSITY_PT_effects(_Panel, bpy.types.Panel):
         layout.operator("radiosity.find_effects", icon="VIEWZOOM")
         for effect in result.effects:
             icon = "CHECKBOX_HLT" if effect.needed else "CHECKBOX_DEHLT"
-            _paragraph(layout, f"{tr(effect.name.capitalize())}: {tr_message(effect.reason)}", icon)
+            text = f"{tr(effect.name.capitalize())}: {tr_message(effect.reason)}"
+            cost = f" ({tr('{} s of work', _seconds(effect.seconds))})" if effect.seconds >= 0 else ""
+            _paragraph(layout, text + cost, icon)
         if result.ignored:
             layout.label(text=tr("Not simulated:"))
             _list(layout, [(row.name, row.finding, "") for row in result.ignored])

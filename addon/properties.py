@@ -47,10 +47,11 @@ def _show(settings, context):
 
 
 class RADIOSITY_PG_effect(bpy.types.PropertyGroup):
-    """An effect of light, and why it was needed or not."""
+    """An effect of light, why it was needed or not, and what it has cost; seconds that are not known are -1."""
 
     needed: BoolProperty()
     reason: StringProperty()
+    seconds: FloatProperty(default=-1.0)
 
 
 class RADIOSITY_PG_finding(bpy.types.PropertyGroup):
@@ -116,6 +117,7 @@ class RADIOSITY_PG_result(bpy.types.PropertyGroup):
         for effect in survey.effects:
             row = self.effects.add()
             row.name, row.needed, row.reason = effect.name, effect.needed, effect.reason
+            row.seconds = -1.0 if effect.seconds is None else effect.seconds
         for finding in (*survey.health, *changed):
             row = self.health.add()
             row.name, row.finding, row.action = finding.object, finding.finding, finding.action

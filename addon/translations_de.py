@@ -32,6 +32,7 @@ GERMAN = {
     "Least exact: {}, {} %": "Am ungenauesten: {}, {} %",
     "Show as Emission": "Als Emission zeigen",
     "Use as Base Color": "Als Grundfarbe nehmen",
+    "{} s of work": "{} s Arbeit",
     "Not simulated:": "Nicht simuliert:",
     "and {} more": "und {} weitere",
     "{} cells: see the extension's preferences": "{} Zellen: siehe die Einstellungen der Erweiterung",

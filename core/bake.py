@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from math import log, sqrt
-from time import perf_counter, process_time
+from time import perf_counter, process_time, thread_time
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from .accuracy import CROWDED, ENOUGH, MOST_RAYS, Estimate, estimate_error, pric
 from .cells import peak_memory
 from .contacts import cut_contacts
 from .control import Control, draw_control
+from .costs import with_costs
 from .effects import Survey, simplified, survey
 from .gather import Gathering, Light, light_arrays, patch_light, sides_of
 from .groups import Groups, make_groups, weighted
@@ -168,7 +169,7 @@ class _Course:
             solving = solve_paper(patches, surfaces, sources, sky, cells, settings)
         else:
             solving = solve(patches, surfaces, sky, cells, settings, found)
-        self.solution = yield from _each(solving, self._of_round)
+        self.solution = yield from _each(self.clock.watch(solving), self._of_round)
         self.clock.lap("transport")
 
     def pilot(self):
@@ -309,7 +310,11 @@ class _Course:
         return Bake(
             self.written,
             self.settings,
-            self.survey.after(self.scene, self.patches, solution, error, self.cells.note, thin),
+            with_costs(
+                self.survey.after(self.scene, self.patches, solution, error, self.cells.note, thin),
+                self.clock.parts(),
+                self.clock.watched,
+            ),
             self.patches,
             points,
             solution,
@@ -448,7 +453,20 @@ class _Clock:
         self._restarted = cells.restarted
         self._begun = self._lap = perf_counter()
         self._cpu = process_time()
-        self._phases = {}
+        self._phases, self.watched = {}, 0.0
+
+    def watch(self, generator):
+        """Yield what a generator yields and return what it returns; `watched` are the CPU seconds of this thread in it,
+        without those of cells that work here."""
+        while True:
+            begun, here = thread_time(), self._cells.usage.here
+            try:
+                item = next(generator)
+            except StopIteration as end:
+                return end.value
+            finally:
+                self.watched += thread_time() - begun - (self._cells.usage.here - here)
+            yield item
 
     def lap(self, phase):
         """Add the time since the last lap to a phase."""
@@ -460,6 +478,11 @@ class _Clock:
 
     def rays(self):
         return self._cells.usage.rays - self._usage.rays
+
+    def parts(self):
+        """{part of the cells' work: CPU seconds}."""
+        before = self._usage.parts
+        return {part: seconds - before.get(part, 0.0) for part, seconds in self._cells.usage.parts.items()}
 
     def seconds(self):
         used, before = self._cells.usage, self._usage

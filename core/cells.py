@@ -38,7 +38,8 @@ RESTARTS = 3  # per cell; beyond them the tasks run in this process
 @dataclass
 class Usage:
     """What the cells have used: CPU seconds (`here`: those of them in the host's process), seconds of them inside
-    Embree, rays; and of each process the CPU seconds, `busy`, and the peak memory [MB]."""
+    Embree, rays; of each process the CPU seconds, `busy`, and the peak memory [MB]; and the CPU seconds of `parts` of the
+    work: tasks by name, and what was noted within them."""
 
     cpu: float = 0.0
     here: float = 0.0
@@ -46,12 +47,13 @@ class Usage:
     rays: int = 0
     busy: dict = field(default_factory=dict)
     memory: dict = field(default_factory=dict)
+    parts: dict = field(default_factory=dict)
 
     def snapshot(self):
-        return replace(self, busy=dict(self.busy), memory=dict(self.memory))
+        return replace(self, busy=dict(self.busy), memory=dict(self.memory), parts=dict(self.parts))
 
     def add(self, cell, spent):
-        cpu, embree, rays, memory = spent
+        cpu, embree, rays, memory, parts = spent
         self.cpu += cpu
         if cell == "host":
             self.here += cpu
@@ -59,6 +61,8 @@ class Usage:
         self.rays += int(rays)
         self.busy[cell] = self.busy.get(cell, 0.0) + cpu
         self.memory[cell] = max(self.memory.get(cell, 0.0), memory)
+        for part, seconds in parts.items():
+            self.parts[part] = self.parts.get(part, 0.0) + seconds
 
 
 class Cells:
@@ -340,13 +344,15 @@ def make_cells(count):
 
 
 def run_task(kernel, name, arguments):
-    """The result of a task, and what it used: (CPU seconds, those inside Embree, rays, peak memory [MB])."""
+    """The result of a task, and what it used: (CPU seconds, those inside Embree, rays, peak memory [MB], {part of the work:
+    CPU seconds})."""
     from time import thread_time
 
     begun = thread_time()
     result = TASKS[name](kernel, **arguments)
-    embree, rays = kernel.spent()
-    return result, (thread_time() - begun, embree, rays, peak_memory())
+    embree, rays, parts = kernel.spent()
+    seconds = thread_time() - begun
+    return result, (seconds, embree, rays, peak_memory(), {name: seconds, **parts})
 
 
 def peak_memory():

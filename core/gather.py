@@ -8,6 +8,7 @@ sources by test rays (`direct`), light of faces that are not sampled and of the 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from time import thread_time
 
 import numpy as np
 
@@ -190,9 +191,13 @@ def gather_points(kernel, ids, rays, seed, links):
     count = kernel.sources.strength.shape[1]
     result = {name: np.zeros((count, len(ids))) for name in PARTS}
     result.update(nearness=np.zeros(len(ids)), closest=np.full(len(ids), np.inf))
+    begun = thread_time()
     result["direct"] = _direct(kernel, ids, rays, seed)
+    kernel.caster.note("sources", begun)
     if links:
+        begun = thread_time()
         result["links"] = _links(kernel, ids)
+        kernel.caster.note("links", begun)
     if not (reflected.size or found.size):
         return result
     tables = direction_tables(rays, seed)
@@ -381,7 +386,7 @@ def _direct(kernel, own, rays, seed):
         return np.add.reduceat(weight, begin), np.add.reduceat(seen, begin)
 
     factor = np.stack([unoccluded(sources, s, position, normal) for s in range(len(sources))], axis=1)
-    weight, seen = np.zeros(factor.shape), np.zeros(factor.shape)
+    weight, seen, tested = np.zeros(factor.shape), np.zeros(factor.shape), thread_time()
     for s in range(len(sources)):
         lit = np.flatnonzero(factor[:, s] > 0)
         if len(lit):
@@ -406,6 +411,7 @@ def _direct(kernel, own, rays, seed):
             weight[more, s] += extra[0]
             seen[more, s] += extra[1]
     arriving = (factor * ratio(seen, weight))[: len(own)]
+    kernel.caster.note("occlusion", tested)
     return np.einsum("ks,sc->ck", arriving, sources.strength)
 
 

@@ -126,8 +126,8 @@ class Kernel:
         return kernel
 
     def spent(self):
-        """CPU seconds inside Embree and rays cast since the last call."""
-        return self.caster.spent() if "caster" in self.__dict__ else (0.0, 0)
+        """What `RayCaster.spent` says."""
+        return self.caster.spent() if "caster" in self.__dict__ else (0.0, 0, {})
 
     def patch_hit(self, triangle, u, v):
         """(K,) int32 patches on which hits (triangle, u, v) of K rays fell."""

@@ -7,6 +7,7 @@ source, and the test rays that find how much of it is visible. Lamps never block
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from time import thread_time
 
 import numpy as np
 
@@ -225,9 +226,11 @@ def patch_irradiance(sources, caster, centroid, position, normal, a, b, occluded
         if not occluded:
             total[lit] += factor[lit, None] * sources.strength[s]
             continue
+        tested = thread_time()
         place, each, origin = (x[lit].reshape(-1, 3) for x in (position, normal, start))
         weight, seen = test_rays(sources, s, caster, place, each, each, origin, a[lit].reshape(-1), b[lit].reshape(-1))
         share = ratio(*(np.einsum("kn->k", x.reshape(-1, places)) for x in (seen, weight)))
+        caster.note("occlusion", tested)
         total[lit] += (factor[lit] * share)[:, None] * sources.strength[s]
     return total, uneven
 
@@ -239,7 +242,7 @@ def test_rays(sources, s, caster, position, normal, geometric, start, a, b):
     start: (K, 3) float32, the position as the caster wants it; a, b: (K,) in [0, 1), the place on the source it goes to.
     A weight is proportional to what reaches the position from there; it is 0 below either horizon.
     """
-    endless = sources.kind[s] in (SUN, SKY)
+    begun, endless = thread_time(), sources.kind[s] in (SUN, SKY)
     if endless:
         toward = (_sun_directions if sources.kind[s] == SUN else _sky_directions)(sources, s, a, b)
         weight = dot(toward, normal)
@@ -267,7 +270,13 @@ def test_rays(sources, s, caster, position, normal, geometric, start, a, b):
         blocked = caster.blocked(start[cast], caster.place(aim[cast]), a[cast], reach=SHORT)
     seen = weight.copy()
     seen[cast[blocked]] = 0.0
+    caster.note(_effect(sources.origin[s]), begun)
     return weight, seen
+
+
+def _effect(origin):
+    """The effect of light that a source of some origin belongs to."""
+    return "lamps" if origin >= 0 else "sky" if origin == -1 else "emission"
 
 
 def _in_cone(sources, s, toward):

@@ -39,7 +39,7 @@ class RayCaster:
         number = np.zeros(len(vertices), np.int32)
         number[used] = np.arange(len(used), dtype=np.int32)
         self._scene = EmbreeScene(robust=True)
-        self._seconds, self._rays = 0.0, 0
+        self._seconds, self._rays, self._parts = 0.0, 0, {}
         if alpha is not None:
             self._normal = normal_and_area(*np.moveaxis(vertices[triangles], 1, 0))[0].astype(np.float32)
         if len(used):
@@ -71,9 +71,11 @@ class RayCaster:
             return np.full(len(origins), -1, np.int32), none, none, none, np.zeros(len(origins), bool)
         found = self._first(origins, directions)
         if self._alpha is not None:
+            begun = thread_time()
             for going, more in self._further(origins, directions, found):
                 for values, new in zip(found, more):
                     values[going] = new
+            self.note("transparency", begun)
         return found
 
     def blocked(self, origins, targets, key=None, reach=1.0):
@@ -96,8 +98,10 @@ class RayCaster:
         if self._alpha is None:
             return self._run(origins, directions, query="OCCLUDED", **options) >= 0
         found = self._first(origins, directions, **options)
+        begun = thread_time()
         for going, more in self._further(origins, directions, found, options.get("dists", np.inf), key):
             found[0][going] = more[0]
+        self.note("transparency", begun)
         return found[0] >= 0
 
     def _first(self, origins, directions, **options):
@@ -134,9 +138,14 @@ class RayCaster:
             triangle = np.where(travelled < end, triangle, -1)
             yield going, (triangle, u, v, travelled, back)
 
+    def note(self, part, since):
+        """Count the CPU seconds of this thread since a moment (of `time.thread_time`) as those of a part of the work."""
+        self._parts[part] = self._parts.get(part, 0.0) + thread_time() - since
+
     def spent(self):
-        """CPU seconds inside Embree and rays cast since the last call."""
-        spent, self._seconds, self._rays = (self._seconds, self._rays), 0.0, 0
+        """CPU seconds inside Embree, rays cast, and {part: CPU seconds} that were noted, since the last call."""
+        spent = self._seconds, self._rays, self._parts
+        self._seconds, self._rays, self._parts = 0.0, 0, {}
         return spent
 
     def _run(self, origins, directions, **options):

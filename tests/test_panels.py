@@ -306,6 +306,16 @@ def test_the_panel_shows_prices_and_the_way_on(room):
     assert "radiosity.price" in [b.name for b in look.buttons]
 
 
+def test_effects_are_shown_with_what_they_have_cost(room):
+    bpy.ops.radiosity.find_effects()
+    assert "s of work" not in " ".join(drawn(panels.RADIOSITY_PT_effects).texts)
+    bpy.ops.radiosity.bake()
+    room.radiosity.result.effects["lamps"].seconds = 12.3
+    texts = " ".join(drawn(panels.RADIOSITY_PT_effects).texts)
+    assert "Lamps: 1 point (12 s of work)" in texts
+    assert "Sky: the world is black (" not in texts
+
+
 def test_while_it_runs_the_panel_shows_how_far_it_is(room, monkeypatch):
     running = Running(None, None, expected=20.0)
     monkeypatch.setattr(Session, "running", running)
