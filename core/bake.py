@@ -40,7 +40,7 @@ CONTROL_POINTS = 320
 EACH_OBJECT = 24  # of them, if every object is to reach the error
 MOST_CONTROL_POINTS = 2000
 MOST_REPLICATES = 40  # where objects are gathered one by one
-CONTROL_RAYS = 64  # of each truth at first
+CONTROL_RAYS = ((0.03, 16), (0.015, 32), (0.0, 64))  # of each truth at first, from an error on
 MOST_CONTROL_RAYS = 1024
 UNSURE = 0.4  # of the square of the error asked for: a doubt above that asks for more control rays
 UNSURE_ABOVE = 0.1  # the same, where the error asked for seems out of reach of what was gathered
@@ -145,7 +145,7 @@ class _Course:
         patches = make_patches(scene, edge)
         world = scene.world if found.needs("sky") else World()
         sky, _ = split_sky(world)
-        sources, sampled = make_sources(replace(scene, world=world))
+        sources, sampled = make_sources(scene.but(world=world))
         if not found.needs("color"):
             sources = sources.one_channel()
         ungrouped = sources
@@ -229,7 +229,7 @@ class _Course:
         if self.control is None:
             return
         if not self.control.rays:
-            yield from _each(self.control.trace(CONTROL_RAYS), self._of_control)
+            yield from _each(self.control.trace(_control_rays(self.settings.error)), self._of_control)
         self._estimate()
         # More rays where the control itself is in doubt, as long as they help; above all before rays are spent at all
         # points against what may be chance.
@@ -398,6 +398,11 @@ class _Course:
 
     def _of_control(self, share):
         return Progress("error", share, self.clock.total(), self.clock.rays(), take=self.result)
+
+
+def _control_rays(error):
+    """Rays of each truth at first: as many as the error asked for calls for; more follow where they do not do."""
+    return next(rays for least, rays in CONTROL_RAYS if error >= least)
 
 
 def _eased(settings, found):

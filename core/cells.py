@@ -31,6 +31,7 @@ from .tasks import TASKS
 BOOT = os.path.join(os.path.dirname(os.path.abspath(__file__)), "cell_boot.py")
 AHEAD = 3  # tasks that a cell holds at a time, so that it never waits for the host,
 LAST = 2  # and when there are fewer tasks left than cells
+LOOK = 8  # tasks from one look at the memory used to the next: a look takes half a millisecond
 PATIENCE = 20.0  # seconds without a sign of life from a cell that has work, after which it is replaced
 RESTARTS = 3  # per cell; beyond them the tasks run in this process
 
@@ -352,7 +353,10 @@ def run_task(kernel, name, arguments):
     result = TASKS[name](kernel, **arguments)
     embree, rays, parts = kernel.spent()
     seconds = thread_time() - begun
-    return result, (seconds, embree, rays, peak_memory(), {name: seconds, **parts})
+    if kernel.tasks % LOOK == 0:
+        kernel.peak = peak_memory()
+    kernel.tasks += 1
+    return result, (seconds, embree, rays, kernel.peak, {name: seconds, **parts})
 
 
 def peak_memory():

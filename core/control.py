@@ -19,7 +19,7 @@ from .vectors import ratio
 
 CONTROL = 6  # salt of the sample sequences
 APART = 1 << 20  # seeds of control points are so far from those of the gather, in replicates
-DIRECT_TESTS = 64  # test rays to every source
+DIRECT_TESTS = 64  # test rays to every source, at most
 
 
 class Control:
@@ -37,7 +37,7 @@ class Control:
 
     def trace(self, rays):
         """Trace another `rays` rays of both truths at every point: a generator that yields after every task."""
-        size = max(TASK_RAYS // (3 * rays + DIRECT_TESTS), 1)
+        size = max(TASK_RAYS // (3 * rays + min(rays, DIRECT_TESTS)), 1)
         tasks = [
             self._cells.submit(
                 "control", ids=self.ids[k : k + size], rays=rays, seed=self._settings.seed + SEEDS * (APART + seed)
@@ -92,7 +92,7 @@ def control_points(kernel, ids, rays, seed):
     """{"truth", "patches": (C, K)} the light of points ids (K,) by rays that go on, and how much more the same rays bring
     when they read the patches that they meet [W/m^2]."""
     reflected, found = kernel.arrays["gather.reflected"], kernel.arrays["gather.found"]
-    truth = _direct(kernel, ids, seed)
+    truth = _direct(kernel, ids, min(rays, DIRECT_TESTS), seed)
     patches = np.zeros_like(truth)
     tables = direction_tables(rays, seed)
     for part in blocks(len(ids), rays):
@@ -117,14 +117,14 @@ def _samples(ids, rays, seed):
     return ((shift.T[:, :, None] + R5[:, None, None] * np.arange(rays)) % 1.0).reshape(5, -1)
 
 
-def _direct(kernel, ids, seed):
-    """(C, K) light of the sampled sources at points ids (K,), from many test rays to each [W/m^2]."""
+def _direct(kernel, ids, tests, seed):
+    """(C, K) light of the sampled sources at points ids (K,), from so many test rays to each [W/m^2]."""
     sources, points = kernel.sources, kernel.points
     light = np.zeros((sources.strength.shape[1], len(ids)))
     if not len(sources):
         return light
-    number = np.arange(DIRECT_TESTS)
-    owner = np.repeat(np.arange(len(ids)), DIRECT_TESTS)
+    number = np.arange(tests)
+    owner = np.repeat(np.arange(len(ids)), tests)
     position, normal, geometric = points.position[ids], points.normal[ids], points.geometric[ids]
     start = kernel.caster.start(position, geometric)
     for s in range(len(sources)):
@@ -136,7 +136,7 @@ def _direct(kernel, ids, seed):
         a, b = ((number * R2[k] + shift[:, k, None]) % 1.0 for k in range(2))
         each = (x[owner] for x in (position, normal, geometric, start))
         weight, seen = test_rays(sources, s, kernel.caster, *each, a.reshape(-1), b.reshape(-1))
-        share = ratio(*(np.einsum("kn->k", x.reshape(-1, DIRECT_TESTS)) for x in (seen, weight)))
+        share = ratio(*(np.einsum("kn->k", x.reshape(-1, tests)) for x in (seen, weight)))
         light += sources.strength[s][:, None] * factor * share
     return light
 

@@ -121,7 +121,7 @@ def simplified(scene, found):
     """The scene as transport needs it: images of one color as that color, if the survey leaves textures out."""
     if found.needs("textures") or not scene.textures:
         return scene
-    return replace(scene, materials=tuple(_even(m, scene.textures) for m in scene.materials))
+    return scene.but(materials=tuple(_even(m, scene.textures) for m in scene.materials))
 
 
 def _even(material, textures):

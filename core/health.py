@@ -12,7 +12,6 @@ import numpy as np
 
 from .raycast import OFFSET, RayCaster
 from .sampling import hemisphere, lattice, scatter, tangents
-from .scene import newell_normals
 from .surfaces import LARGEST_REFLECTANCE
 from .vectors import dot, length
 
@@ -45,15 +44,15 @@ def mend(scene):
         return scene
     findings = list(scene.health)
     scene = _without_broken(scene, findings)
-    scene = replace(scene, double=_doubles(scene, findings))
+    scene = scene.but(double=_doubles(scene, findings))
     findings += [*_flat_parts(scene), *_turned(scene), *_tiny(scene), *_too_white(scene)]
     if scene.textures:
         uv = np.zeros((len(scene.corner_vertex), 2)) if scene.corner_uv is None else scene.corner_uv
-        scene = replace(scene, corner_uv=np.where(np.abs(uv) <= FARTHEST, uv, 0.0))
+        scene = scene.but(corner_uv=np.where(np.abs(uv) <= FARTHEST, uv, 0.0))
     lamps = tuple(lamp for lamp in scene.lamps if _shines(lamp, findings))
     materials = tuple(_bounded(scene, k, findings) for k in range(len(scene.materials)))
     world = _clear(scene.world, findings)
-    return replace(scene, lamps=lamps, materials=materials, world=world, health=tuple(findings), mended=True)
+    return scene.but(lamps=lamps, materials=materials, world=world, health=tuple(findings), mended=True)
 
 
 def audit(scene, solution, error):
@@ -137,7 +136,7 @@ def _without_broken(scene, findings):
     corner = np.where(far[scene.triangle_polygon][:, None], scene.triangle_corner[:, :1], scene.triangle_corner)
     normal = np.where(np.isfinite(scene.corner_normal), scene.corner_normal, 0.0)
     vertices = np.where(near[:, None], scene.vertices, middle)
-    return replace(scene, vertices=vertices, triangle_corner=corner, corner_normal=normal, left_out=far)
+    return scene.but(vertices=vertices, triangle_corner=corner, corner_normal=normal, left_out=far)
 
 
 def _flat_parts(scene):
@@ -168,7 +167,7 @@ def _doubles(scene, findings):
         np.stack([np.bincount(owner, place[:, k], len(size)) for k in range(3)], axis=1) / np.maximum(size, 1)[:, None]
     )
     spread = np.bincount(owner, length(place - middle[owner]), len(size)) / np.maximum(size, 1)
-    normal = newell_normals(scene.vertices, scene.polygon_start, scene.corner_vertex)
+    normal = scene.polygon_normal
     facts = np.column_stack([middle, spread, np.sqrt(area)]) / unit
     key = np.column_stack([facts.round(4), size])[polygon]
     light = np.array([sum(m.exitance) for m in scene.materials])[scene.polygon_material]

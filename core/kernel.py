@@ -58,6 +58,7 @@ class Kernel:
 
     def __init__(self, arrays):
         self.arrays = dict(arrays)
+        self.tasks, self.peak = 0, 0.0  # done, and memory [MB] at the last look
 
     @cached_property
     def caster(self):

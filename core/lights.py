@@ -13,7 +13,6 @@ import numpy as np
 
 from .polygons import polygon_factor
 from .sampling import lattice, tangents
-from .scene import newell_normals
 from .sky import split_sky
 from .vectors import TINY, cross, dot, length, ratio, unit
 
@@ -447,7 +446,7 @@ def _emitting_flats(scene):
         scene.triangle_polygon[scene.usable], scene.triangle_normal_area[1][scene.usable], len(scene.polygon_material)
     )
     whole = np.array([not m.transparent for m in scene.materials], bool)  # rays find the light of others
-    normal = newell_normals(scene.vertices, scene.polygon_start, scene.corner_vertex)
+    normal = scene.polygon_normal
     # A polygon that folds over itself, as a bow tie does, fills less than its triangles' areas say.
     facing, size = scene.triangle_normal_area
     once = dot(facing, normal[scene.triangle_polygon]) * size

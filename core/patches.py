@@ -20,7 +20,7 @@ import numpy as np
 
 from .polygons import clip_polygons
 from .sampling import scatter
-from .scene import LEAST_AREA, newell_normals
+from .scene import LEAST_AREA
 from .vectors import counted, cross, dot, length, unit
 
 CELL = np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)])  # corners of a cell
@@ -179,7 +179,7 @@ def _facets(scene):
     triangle = np.flatnonzero(scene.usable)
     polygon = scene.triangle_polygon[triangle]
     normal = scene.triangle_normal_area[0][triangle]
-    whole = newell_normals(scene.vertices, scene.polygon_start, scene.corner_vertex)[polygon]
+    whole = scene.polygon_normal[polygon]
     bent = np.zeros(len(scene.polygon_material), bool)
     bent[polygon[dot(normal, whole) < FLAT]] = True
     key = np.where(bent[polygon], len(bent) + np.arange(len(triangle)), polygon)
@@ -313,7 +313,9 @@ def _changes(key):
 def _extent(points, leading):
     """Lowest and highest coordinates (F, D) of triangles' corners (K, 3, D), over runs that begin where `leading`."""
     start = np.flatnonzero(leading)
-    return np.minimum.reduceat(points.min(axis=1), start), np.maximum.reduceat(points.max(axis=1), start)
+    a, b, c = np.moveaxis(points, 1, 0)
+    low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+    return np.minimum.reduceat(low, start), np.maximum.reduceat(high, start)
 
 
 def _longest_edges(corners, owner):

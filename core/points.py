@@ -13,7 +13,6 @@ import numpy as np
 
 from .raycast import OFFSET
 from .sampling import morton_order
-from .scene import newell_normals
 from .vectors import dot, length, unit
 
 SAME_NORMAL = 0.99984769515639127  # cosine of one degree
@@ -119,7 +118,7 @@ def make_points(scene, flipped=None, cells=None):
 
 def _face_normals(scene):
     """(P,) unit normals of polygons; that of its largest triangle for one that turns against itself, as a bow tie does."""
-    normal = newell_normals(scene.vertices, scene.polygon_start, scene.corner_vertex)
+    normal = scene.polygon_normal
     own, area = scene.triangle_normal_area
     order = np.argsort(area, kind="stable")
     largest = np.zeros_like(normal)

@@ -7,7 +7,7 @@ light in W/m^2 (exitance), W/sr (intensity) and W/(m^2 sr) (radiance), linear RG
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -15,6 +15,9 @@ import numpy as np
 from .vectors import counted, cross, length, unit
 
 BLACK = (0.0, 0.0, 0.0)
+# What a scene's shape depends on, and what is found of it once and kept.
+GEOMETRY = {"vertices", "polygon_start", "corner_vertex", "triangle_corner", "triangle_polygon"}
+KNOWN = ("polygon_normal", "triangles", "triangle_normal_area", "solid", "bounds", "diagonal")
 LEAST_AREA = 1e-200  # [m^2]; of less, float64 cannot tell the middle
 
 
@@ -165,6 +168,18 @@ class Scene:
             if getattr(self, name) is None:
                 object.__setattr__(self, name, np.zeros(len(self.polygon_object), bool))
 
+    def but(self, **changes):
+        """The scene with some fields changed. What is known of its geometry stays known, unless that changes."""
+        other = replace(self, **changes)
+        if not GEOMETRY & changes.keys():
+            other.__dict__.update((name, self.__dict__[name]) for name in KNOWN if name in self.__dict__)
+        return other
+
+    @cached_property
+    def polygon_normal(self):
+        """(P, 3) unit normals of the polygons; 0 where one has no area."""
+        return newell_normals(self.vertices, self.polygon_start, self.corner_vertex)
+
     @cached_property
     def triangles(self):
         """(T, 3) int32 vertex indices of the triangles."""
@@ -194,7 +209,7 @@ class Scene:
         used = self.vertices[np.unique(self.triangles[self.solid])]
         return np.stack([used.min(axis=0), used.max(axis=0)]) if len(used) else np.zeros((2, 3))
 
-    @property
+    @cached_property
     def diagonal(self):
         """Length of the bounding box's diagonal [m]."""
         low, high = self.bounds
