@@ -53,7 +53,7 @@ def _camera_view(scene):
     height = scene.render.resolution_y * scene.render.resolution_percentage / 100
     shrink = min(1.0, WIDEST / max(width, height, 1))
     corners = np.array(camera.data.view_frame(scene=scene), float)  # in camera space: right top first, then clockwise
-    matrix = np.array(camera.matrix_world.normalized())
+    matrix = np.array(camera.matrix_world.normalized(), float)
     middle = corners.mean(axis=0)
     right, up = (corners[0] + corners[1]) / 2 - middle, (corners[0] + corners[3]) / 2 - middle
     frame = np.stack([matrix[:3, :3] @ axis for axis in (middle, right, up)])

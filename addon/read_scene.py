@@ -110,7 +110,7 @@ def _place(depsgraph, rendered, reader, wanted, lamps, placed, deadline):
             continue
         if object.type in SOLID | {"LIGHT"} and not read_visibility(original, reader.ignored):
             continue
-        matrix = np.array(instance.matrix_world)
+        matrix = np.array(instance.matrix_world, float)  # newer Blenders would give float32
         if object.type == "LIGHT":
             lamp = read_lamp(object.data, matrix, original.name, reader.ignored)
             lamps.append(lamp) if lamp else None

@@ -101,6 +101,22 @@ def test_lamp_like_cycles(cells, name):
     assert abs(found.mean() / expected.mean() - 1) < 0.01
 
 
+def test_lamps_and_meshes_are_placed_in_double_precision():
+    """Whatever a Blender's matrices are made of: the axes of a turned lamp are unit vectors, at right angles, to 1e-15."""
+    empty()
+    sun = lamp("SUN", rotation_euler=(0.3, 0.5, 0.7), scale=(0.7, 0.7, 0.7))
+    plane(size=1.0, location=(0.1, 0.2, 0.3), rotation_euler=(0.3, 0.5, 0.7))
+    bpy.context.view_layer.update()
+    scene, _ = read_scene(bpy.context)
+    axes = np.array(scene.lamps[0].axes)
+    assert np.abs((axes * axes).sum(axis=1) - 1).max() < 1e-15
+    matrix = np.array([list(row) for row in bpy.data.objects["plane"].matrix_world])
+    local = np.array([list(v.co) for v in bpy.data.meshes["plane"].vertices])
+    exact = np.einsum("ij,kj->ki", matrix[:3, :3], local) + matrix[:3, 3]
+    assert np.abs(scene.vertices - exact).max() < 1e-15
+    assert sun.name in [each.name for each in scene.lamps]
+
+
 def test_light_nodes_multiply(cells):
     empty()
     plane(size=1.0, n=2)

@@ -15,11 +15,14 @@ from cell_radiosity import addon
 from cell_radiosity.addon import panels
 from cell_radiosity.addon.job import Options
 from cell_radiosity.addon.preflight import preflight
+from cell_radiosity.addon.read_scene import read_scene
 from cell_radiosity.addon.running import Running
 from cell_radiosity.addon.session import Session
 from cell_radiosity.addon.translations import NUMBER, tr, tr_message
 from cell_radiosity.addon.translations_de import GERMAN
-from cell_radiosity.core.bake import Progress
+from cell_radiosity.core.bake import Progress, bake, run
+from cell_radiosity.core.cells import LocalCells
+from cell_radiosity.core.layers import layer_colors
 
 from blender_scenes import bake_ours, colors, cube, diffuse, empty, glowing, lamp, plane
 
@@ -103,9 +106,14 @@ def test_settings_say_what_the_command_line_says_by_default(room):
     assert room.radiosity.options(bpy.context).objects == ("cube",)
 
 
-def test_the_button_gives_the_bits_of_the_command(room, cells):
+def test_the_button_gives_the_bits_of_the_command_and_of_the_core(room, cells):
     bake_ours(cells, error=0.1)
     expected = {m.name: colors(m, "Radiosity") for m in bpy.data.meshes}
+    scene, targets = read_scene(bpy.context)
+    core = run(bake(scene, Options(error=0.1).settings(scene.diagonal), LocalCells()))
+    for target in targets:
+        own = layer_colors(core, "Radiosity")[target.first : target.last].astype(np.float32)
+        assert np.array_equal(own, expected[target.object][target.corner])
     bpy.ops.radiosity.clear()
     assert not any(m.color_attributes for m in bpy.data.meshes)
     assert bpy.ops.radiosity.bake() == {"FINISHED"}

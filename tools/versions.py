@@ -1,4 +1,4 @@
-"""Run the tests that know Blender in the modules of several Blenders, and compare the bits of one bake between them.
+"""Run the tests that know Blender in the modules of several Blenders, and compare the bits of bakes between them.
 
 Each module gets an environment of its own in build/versions. Names of versions as arguments choose among them.
 """
@@ -17,6 +17,7 @@ ROOT = Path(__file__).parent.parent
 PLACE = ROOT / "build" / "versions"
 # The Python of each, and the numpy that it comes with in Blender itself.
 BLENDERS = {"4.2.23": ("3.11", "1.24.3"), "4.5.15": ("3.11", "1.26.4"), "5.2.3": ("3.13", "2.3.4")}
+SCENES = ("cornell_box", "sunlit_room")  # whose bits are compared: emitting faces; sun, sky and many objects
 TESTS = ("test_blender_*.py", "test_command.py", "test_panels.py", "test_steps.py")
 
 # The module of Blender 4.2 crashes at its very end if a property with a callback was registered, whosever it is.
@@ -27,15 +28,17 @@ import os, sys
 import bpy, numpy as np
 import cell_radiosity
 cell_radiosity.register()
-bpy.ops.wm.open_mainfile(filepath=sys.argv[1])
-bpy.ops.radiosity.bake()
 found = {}
-for o in bpy.data.objects:
-    if o.type == "MESH":
-        for a in o.data.color_attributes:
-            found[o.name + "." + a.name] = v = np.empty(4 * len(a.data), np.float32)
-            a.data.foreach_get("color", v)
-np.savez(sys.argv[2], **found)
+for scene in sys.argv[2:]:
+    bpy.ops.wm.open_mainfile(filepath=scene)
+    bpy.ops.radiosity.bake()
+    for o in bpy.data.objects:
+        if o.type == "MESH":
+            for a in o.data.color_attributes:
+                v = np.empty(4 * len(a.data), np.float32)
+                a.data.foreach_get("color", v)
+                found[".".join((os.path.basename(scene), o.name, a.name)).replace("/", "_")] = v
+np.savez(sys.argv[1], **found)
 cell_radiosity.unregister()
 os._exit(0)
 """
@@ -84,16 +87,16 @@ def main():
         )
         failed |= subprocess.run([python, "-c", TEST, "-p", "no:cacheprovider", *files], cwd=ROOT).returncode != 0
         out = PLACE / f"{version}.npz"
-        scene = ROOT / "sample_scenes" / "cornell_box.blend"
+        scenes = [ROOT / "sample_scenes" / f"{name}.blend" for name in SCENES]
         quiet = dict(stdout=subprocess.DEVNULL, env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"})
-        subprocess.run([python, "-c", BAKE, scene, out], check=True, **quiet)
+        subprocess.run([python, "-c", BAKE, out, *scenes], check=True, **quiet)
         with np.load(out) as found:
             layers[version] = dict(found)
     first = next(iter(layers), None)
     for version, found in layers.items():
         same = set(found) == set(layers[first]) and all(np.array_equal(v, layers[first][k]) for k, v in found.items())
         print(
-            f"{version}: {len(found)} layers of the Cornell box, {'the same bits as' if same else 'NOT THE BITS OF'} {first}"
+            f"{version}: {len(found)} layers of {len(SCENES)} scenes, {'the same bits as' if same else 'NOT THE BITS OF'} {first}"
         )
         failed |= not same
     return 1 if failed else 0
