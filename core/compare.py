@@ -16,13 +16,19 @@ def off_reference(bake, reference):
     scene = bake.scene
     colors = layer_colors(bake, "Lighting")
     first = scene.polygon_start[np.searchsorted(scene.polygon_object, np.arange(len(scene.objects) + 1))]
-    off = truth = 0.0
+    found = {}
     for name, written, begin, end in zip(scene.objects, scene.written, first, first[1:]):
-        if not written or f"{name}.A" not in reference:
-            continue
+        if written and f"{name}.A" in reference:
+            own = scene.corner_vertex[begin:end]
+            found[name] = vertex_means(colors[begin:end], own - own.min(), len(reference[f"{name}.A"]))
+    return off_at_vertices(found, reference)
+
+
+def off_at_vertices(found, reference):
+    """Relative error of irradiance / pi, {name: (V, 3)} at the vertices of objects, whoever found it: see `off_reference`."""
+    off = truth = 0.0
+    for name, mean in found.items():
         area, mask, one, other = (reference[f"{name}.{k}"] for k in ("A", "mask", "EA", "EB"))
-        own = scene.corner_vertex[begin:end]
-        mean = vertex_means(colors[begin:end], own - own.min(), len(area))
         area = (area * mask)[:, None]
         off += (area * (mean - one) * (mean - other)).sum()
         truth += (area * one * other).sum()

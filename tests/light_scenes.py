@@ -194,6 +194,16 @@ def courtyard():
 
 
 SCENES = {f.__name__: f for f in (small_lamps, many_emitters, door, shaft, window, courtyard)}
+SAMPLES = ("cornell_box", "hall", "sunlit_room")
+
+
+def open_scene(name):
+    """Make one of the scenes, or one of the samples, Blender's open file."""
+    if name in SAMPLES:
+        bpy.ops.wm.open_mainfile(filepath=str(HERE.parent / "sample_scenes" / f"{name}.blend"))
+    else:
+        SCENES[name]()
+        bpy.context.view_layer.update()
 
 
 def main(folder, names):

@@ -17,18 +17,7 @@ from cell_radiosity.core.compare import off_reference  # noqa: E402
 from scenes import Settings, bake, run  # noqa: E402
 
 HERE = Path(__file__).parent
-SAMPLES = ("cornell_box", "hall", "sunlit_room")
-NAMES = (*SAMPLES, "door", "small_lamps", "window", "shaft", "courtyard")
-
-
-def opened(name):
-    """The core's Scene of a sample, or of a scene that is made here."""
-    if name in SAMPLES:
-        bpy.ops.wm.open_mainfile(filepath=str(HERE.parent / "sample_scenes" / f"{name}.blend"))
-    else:
-        light_scenes.SCENES[name]()
-        bpy.context.view_layer.update()
-    return read_scene(bpy.context)[0]
+NAMES = (*light_scenes.SAMPLES, "door", "small_lamps", "window", "shaft", "courtyard")
 
 
 @pytest.mark.heavy
@@ -36,7 +25,8 @@ def opened(name):
 def test_the_error_asked_for_is_there_and_known(cells, name):
     """At 5, 2 and 1 %: measured error between 0.4 and 1.1 of what was asked, unless the first rays gave it; the estimate
     within 0.6 to 1.5 of it."""
-    scene = opened(name)
+    light_scenes.open_scene(name)
+    scene, _ = read_scene(bpy.context)
     reference = dict(np.load(HERE / "references" / f"{name}.npz"))
     for error in (0.05, 0.02, 0.01):
         found = run(bake(scene, Settings.for_error(error), cells))

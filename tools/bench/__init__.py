@@ -1,0 +1,1 @@
+"""How fast bakes are, as ratios that hold on any machine: `make bench`."""
