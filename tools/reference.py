@@ -26,8 +26,9 @@ NEAR = 1e-3  # of the scene's diagonal
 FLAT = 0.9  # least cosine between the faces at a vertex that is not on a crease
 
 
-def bake_with_cycles(samples, seed):
-    """{name: (corners, 3)} irradiance / pi of every mesh object, by Cycles' vertex bake: 32 bounces, nothing clamped."""
+def bake_with_cycles(samples, seed, wanted=None):
+    """{name: (corners, 3)} irradiance / pi of every mesh object, by Cycles' vertex bake: 32 bounces, nothing clamped. wanted:
+    function of an object's name, whether it is baked."""
     scene = bpy.context.scene
     scene.render.engine = "CYCLES"
     scene.render.threads_mode, scene.render.threads = "FIXED", 2
@@ -35,7 +36,7 @@ def bake_with_cycles(samples, seed):
     cycles.samples, cycles.seed, cycles.use_adaptive_sampling = samples, seed, False
     cycles.max_bounces = cycles.diffuse_bounces = 32
     cycles.sample_clamp_direct = cycles.sample_clamp_indirect = 0.0
-    objects = [o for o in scene.objects if o.type == "MESH" and not o.hide_render]
+    objects = [o for o in scene.objects if o.type == "MESH" and not o.hide_render and (not wanted or wanted(o.name))]
     for o in objects:
         o.data.color_attributes.active_color = o.data.color_attributes.get("Cycles") or o.data.color_attributes.new(
             "Cycles", "FLOAT_COLOR", "CORNER"

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import argparse
 import json
+import subprocess
+import sys
 from datetime import date
 
 from cell_radiosity.addon.job import default_cells
@@ -15,27 +17,47 @@ from cell_radiosity.core.cells import make_cells
 from cell_radiosity.core.report import write_json
 
 from . import cycles as cycles_bakes
-from . import errors, page
+from . import errors, growth, page, phases
 from .machine import describe, hall_loop, load
-from .scenes import NAMES
+from .scenes import NAMES, ROOT, SAMPLES
 
 
-def measure_errors(arguments):
+def measure_errors(arguments, before):
     """Error and CPU seconds of our bakes beside Cycles'."""
     cycles = cycles_bakes.figures(arguments.scenes, arguments.cycles)
-    bare, scenes = hall_loop(), {}
-    rates = [bare()]
+    bare, scenes = hall_loop(), dict(before.get("scenes", {}))
     with make_cells(default_cells()) as cells:
         for name in arguments.scenes:
-            scenes[name] = errors.bakes_of(name, cells, arguments.seeds)
-            rates.append(bare())
-    rate = sorted(rates)[len(rates) // 2]
-    for name, scene in scenes.items():
-        scene["against_cycles"] = errors.compared(scene, cycles[name], rate)
-    return {"rate": rate, "rates": rates, "seeds": arguments.seeds, "scenes": scenes}
+            scenes[name] = errors.bakes_of(name, cells, arguments.seeds, bare)
+            scenes[name]["against_cycles"] = errors.compared(scenes[name], cycles[name])
+    return {"seeds": arguments.seeds, "scenes": {name: scenes[name] for name in NAMES if name in scenes}}
 
 
-PARTS = {"errors": measure_errors}
+def measure_phases(arguments, _):
+    """Where the time goes."""
+    bare = hall_loop()
+    with make_cells(default_cells()) as cells:
+        embree = phases.embree_shares("hall", cells, bare, arguments.seeds)
+    return {"embree": embree, "commands": phases.commands(SAMPLES, arguments.seeds)}
+
+
+def measure_growth(*_):
+    """How cost grows with size."""
+    return {name: growth.series(name) for name in growth.SIZES}
+
+
+def measure_tools(*_):
+    """What the tools that measure cells and effects print."""
+    asked = {"cells": ["bench_cells.py", "--runs", "3", "--counts", "1,8,64"], "effects": ["effects_table.py"]}
+    return {name: _printed(*command) for name, command in asked.items()}
+
+
+def _printed(tool, *arguments):
+    command = [sys.executable, str(ROOT / "tools" / tool), *arguments]
+    return subprocess.run(command, check=True, capture_output=True, text=True).stdout
+
+
+PARTS = {"errors": measure_errors, "phases": measure_phases, "growth": measure_growth, "tools": measure_tools}
 
 
 def main():
@@ -62,7 +84,7 @@ def main():
     results["machine"] = describe()
     for part in arguments.parts or PARTS:
         before = load()
-        results[part] = {**PARTS[part](arguments), "load": [before, load()]}
+        results[part] = {**PARTS[part](arguments, results.get(part, {})), "load": [before, load()]}
         write_json(results, file)
     page.write(results)
 

@@ -20,7 +20,7 @@ from cell_radiosity.core.report import write_json
 
 from ..reference import bake_with_cycles
 from .machine import describe, hall_loop, load
-from .scenes import ROOT, kind_of, mark_of, opened, reference_of
+from .scenes import ROOT, baked_of, kind_of, mark_of, opened, reference_of
 
 KEPT = ROOT / "docs" / "bench" / "cycles.json"
 SAMPLES = (16, 64, 256)
@@ -47,7 +47,7 @@ def _measured(name):
         opened(name)
         begun = process_time()
         with silent():
-            colors = bake_with_cycles(count, SEED)
+            colors = bake_with_cycles(count, SEED, baked_of(name))
         cpu = process_time() - begun
         found = {o: _means(o, c, len(reference[f"{o}.A"])) for o, c in colors.items() if f"{o}.A" in reference}
         runs.append({"samples": count, "error": off_at_vertices(found, reference), "cpu": round(cpu, 3)})
