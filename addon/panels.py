@@ -273,7 +273,7 @@ def _list(layout, rows):
 def _paragraph(layout, text, icon):
     """A text on as many lines as it needs."""
     region, scale = bpy.context.region, bpy.context.preferences.system.ui_scale or 1.0  # 0: no window
-    letters = max(int((region.width if region else 300) / (LETTER * scale)) - 8, 16)
+    letters = max(int((region.width if region else 300) / (LETTER * scale)) - 12, 16)
     column = layout.column(align=True)
     column.scale_y = 0.8
     for k, line in enumerate(textwrap.wrap(text, letters)):

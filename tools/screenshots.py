@@ -38,13 +38,13 @@ def main():
         window = Window(PROGRAM, folder, blender.environment)
         try:
             window.open(ROOT / "sample_scenes" / "hall.blend")
-            window.ask("bpy.context.scene.radiosity.preset = 'fine'; [a.tag_redraw() for a in window.screen.areas]")
+            window.ask("s = bpy.context.scene.radiosity; s.preset = 'error'; s.error = 1.0; [a.tag_redraw() for a in window.screen.areas]")
             time.sleep(1)
             keep(window, "before")
             window.click(*window.find_button())
             window.until(f"{SESSION}.running is not None")
             window.until(f"{SESSION}.running is None or {SESSION}.running.light_error is not None", wait=300)
-            time.sleep(1)
+            time.sleep(0.7)
             keep(window, "during")
             window.until(f"{SESSION}.running is None", wait=300)
             time.sleep(8)  # until the report in the status bar has gone
