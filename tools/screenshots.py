@@ -32,20 +32,33 @@ def keep(window, name):
     )
 
 
+def choose(window, preset, error):
+    """Choose an accuracy in the panel."""
+    window.ask(
+        f"s = bpy.context.scene.radiosity; s.preset, s.error = {preset!r}, {error};"
+        "[a.tag_redraw() for a in window.screen.areas]"
+    )
+
+
 def main():
     with tempfile.TemporaryDirectory(prefix="radiosity-") as folder:
         blender = RealBlender(Path(folder))
         window = Window(PROGRAM, folder, blender.environment)
         try:
             window.open(ROOT / "sample_scenes" / "hall.blend")
-            window.ask("s = bpy.context.scene.radiosity; s.preset = 'error'; s.error = 1.0; [a.tag_redraw() for a in window.screen.areas]")
+            choose(window, "fine", 0.5)
             time.sleep(1)
             keep(window, "before")
             window.click(*window.find_button())
-            window.until(f"{SESSION}.running is not None")
-            window.until(f"{SESSION}.running is None or {SESSION}.running.light_error is not None", wait=300)
-            time.sleep(0.7)
+            window.until(f"getattr({SESSION}.running, 'light_error', None) is not None", wait=300)
+            time.sleep(1)
             keep(window, "during")
+            window.press("Escape")
+            window.until(f"{SESSION}.running is None", wait=300)
+            choose(window, "error", 1.0)
+            time.sleep(1)
+            window.click(*window.find_button())
+            window.until(f"{SESSION}.running is not None")
             window.until(f"{SESSION}.running is None", wait=300)
             time.sleep(8)  # until the report in the status bar has gone
             keep(window, "after")
