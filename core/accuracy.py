@@ -18,8 +18,8 @@ import numpy as np
 
 from .vectors import ratio
 
-AIM = 0.75  # of the error asked for: where a bake steers to
-ENOUGH = 0.95  # of the error asked for: where it stops
+AIM = 0.72  # of the error asked for: where a bake steers to
+ENOUGH = 0.88  # of the error asked for: where it stops
 AIM_EACH, ENOUGH_EACH = 0.5, 0.7  # the same for objects one by one, of which less is known
 CROWDED = 1e-3  # of the scene's diagonal: a point so near another surface lies in a corner
 DOUBT = 0.5  # standard errors of what replicates share that are taken as chance

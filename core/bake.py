@@ -9,7 +9,7 @@ from time import perf_counter, process_time, thread_time
 
 import numpy as np
 
-from .accuracy import CROWDED, ENOUGH, MOST_RAYS, Estimate, estimate_error, price_of, rays_by_object, rays_wanted
+from .accuracy import CROWDED, ENOUGH, MOST_RAYS, SMALL, Estimate, estimate_error, price_of, rays_by_object, rays_wanted
 from .cells import peak_memory
 from .contacts import cut_contacts
 from .control import Control, draw_control
@@ -42,8 +42,8 @@ MOST_CONTROL_POINTS = 2000
 MOST_REPLICATES = 40  # where objects are gathered one by one
 CONTROL_RAYS = ((0.03, 16), (0.015, 32), (0.0, 64))  # of each truth at first, from an error on
 MOST_CONTROL_RAYS = 1024
-UNSURE = 0.4  # of the square of the error asked for: a doubt above that asks for more control rays
-UNSURE_ABOVE = 0.1  # the same, where the error asked for seems out of reach of what was gathered
+UNSURE = 0.5  # of the square of the noise: a doubt above that asks for more control rays
+UNSURE_ABOVE = 0.15  # the same, where the error asked for seems out of reach of what was gathered
 HELP = 0.8  # of its doubt may be left after twice as many control rays; with more they are of no use
 
 
@@ -229,7 +229,7 @@ class _Course:
         if self.control is None:
             return
         if not self.control.rays:
-            yield from _each(self.control.trace(_control_rays(self.settings.error)), self._of_control)
+            yield from _each(self.control.trace(_control_rays(self.settings)), self._of_control)
         self._estimate()
         # More rays where the control itself is in doubt, as long as they help; above all before rays are spent at all
         # points against what may be chance.
@@ -243,7 +243,7 @@ class _Course:
         """Whether the control knows too little of what replicates share, where their noise is small enough."""
         error, found = self.settings.error, self.estimate
         share = UNSURE if found.total <= ENOUGH * error else UNSURE_ABOVE
-        return found.noise <= ENOUGH * error and found.doubt > share * error**2
+        return found.noise <= ENOUGH * error and found.doubt > share * max(found.noise, SMALL * error) ** 2
 
     def _estimate(self):
         free = self.gathering.closest > CROWDED
@@ -400,8 +400,9 @@ class _Course:
         return Progress("error", share, self.clock.total(), self.clock.rays(), take=self.result)
 
 
-def _control_rays(error):
+def _control_rays(settings):
     """Rays of each truth at first: as many as the error asked for calls for; more follow where they do not do."""
+    error = 0.0 if settings.per_object else settings.error
     return next(rays for least, rays in CONTROL_RAYS if error >= least)
 
 

@@ -34,7 +34,7 @@ DIM_TESTS = 16
 
 PARTS = ("direct", "found", "reflected")  # of a point's light
 
-STEPS = 4  # diffusion steps of the filter
+STEPS = 6  # diffusion steps of the filter
 COLUMNS = 8  # neighbors of a point that are summed with those of all others
 REACH = 0.4  # of the filter, in harmonic mean free distances, at 64 gather rays
 NEARBY = 8  # steps along edges over which noise is compared
@@ -280,8 +280,10 @@ class _Filter:
 
     def _diffuse(self, light):
         for _ in range(STEPS):
-            light = self._stays * light + self._flow(light)
-        return light
+            before, light = light, self._stays * light + self._flow(light)
+        # Half of the last step: a pattern that changes sign from point to point, as on a chessboard, would turn round in
+        # every whole step and never fade.
+        return (before + light) / 2
 
 
 class _EdgeSums:
