@@ -4,31 +4,34 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from math import log, sqrt
+from functools import partial
+from math import inf, log, sqrt
 from time import perf_counter, process_time, thread_time
 
 import numpy as np
 
 from .accuracy import CROWDED, ENOUGH, MOST_RAYS, SMALL, Estimate, estimate_error, price_of, rays_by_object, rays_wanted
-from .cells import peak_memory
+from .cells import LocalCells, peak_memory
 from .contacts import cut_contacts
-from .control import Control, draw_control
+from .control import Control, Traced, draw_control
 from .costs import with_costs
 from .effects import Survey, simplified, survey
 from .gather import Gathering, Light, light_arrays, patch_light, sides_of
 from .groups import Groups, make_groups, weighted
-from .health import mend
+from .health import Finding, mend
 from .host import Solution, solve
-from .kernel import transport_arrays
+from .kernel import cast_arrays, transport_arrays
 from .lights import emitting_polygons, make_sources
 from .occlusion import find_openness
 from .paper import solve_paper
 from .patches import Patches, count_patches, make_patches, patch_of_hit
 from .placing import refill, thin_findings
 from .points import Points, make_points
+from .records import from_arrays, to_arrays
 from .scene import Scene, World
 from .settings import Settings
 from .sky import split_sky
+from .state import State, StateError, scene_prints
 from .surfaces import make_surfaces
 
 ROUGH_RAYS = 32  # of a point, to tell where a mesh must be finer
@@ -44,6 +47,7 @@ CONTROL_RAYS = ((0.03, 16), (0.015, 32), (0.0, 64))  # of each truth at first, f
 MOST_CONTROL_RAYS = 1024
 UNSURE = 0.5  # of the square of the noise: a doubt above that asks for more control rays
 UNSURE_ABOVE = 0.15  # the same, where the error asked for seems out of reach of what was gathered
+SOLVED = 0.25  # of the error asked for: a known transport whose bound is below that is good enough
 HELP = 0.8  # of its doubt may be left after twice as many control rays; with more they are of no use
 
 
@@ -51,7 +55,8 @@ HELP = 0.8  # of its doubt may be left after twice as many control rays; with mo
 class Progress:
     """Where a bake stands. phase: "survey", "patches", "transport", "gather" or "error". done: share of the phase, 0..1. round, bound: of
     the transport. points: gathered so far. rays: cast so far. seconds: since the bake began. left: seconds, a guess.
-    error: estimated so far. take(): the Bake as it stands, as long as it has not gone on; None before there is light."""
+    error: estimated so far. take(): the Bake as it stands, as long as it has not gone on; None before there is light.
+    state(): the State as it stands, to carry the bake on from; None before there are patches."""
 
     phase: str
     done: float
@@ -63,6 +68,7 @@ class Progress:
     left: float | None = None
     error: float | None = None
     take: Callable | None = field(default=None, repr=False, compare=False)
+    state: Callable | None = field(default=None, repr=False, compare=False)
 
 
 @dataclass(frozen=True)
@@ -70,7 +76,7 @@ class Bake:
     """A finished bake, or one as it stands: every record of its path, seconds by phase, CPU seconds, and what the cells
     used. estimate: of its error. converged: the error asked for was reached. floor: it was reached by the cheapest way.
     price: tuple of Price, after the pilot. groups: light groups, if they were asked for, and by_group: a Light with a channel for each group's. openness: (P,) 1
-    less ambient occlusion, if it was asked for."""
+    less ambient occlusion, if it was asked for. state(): the State, to carry it on from."""
 
     scene: Scene
     settings: Settings
@@ -89,21 +95,28 @@ class Bake:
     groups: Groups | None = None
     by_group: Light | None = None
     openness: np.ndarray | None = None
+    state: Callable | None = field(default=None, repr=False, compare=False)
 
 
-def bake(scene, settings, cells, place=None, group_of=None):
+def bake(scene, settings, cells, place=None, group_of=None, state=None):
     """Bake a scene: a generator that yields Progress and returns the Bake. cells: any `Cells`; they are left running.
-    place: generator function of (scene, flipped, cells, light) that returns the Scene to write and its Points, None for
-    the scene's corners; light: generator function of Points, that returns (P,) what they get, roughly. group_of: the light
-    group of a lamp's or object's name, see groups.make_groups; None keeps no groups."""
+    place: generator function of (scene, flipped, cells, light, kept) that returns the Scene to write, its Points, and
+    {name: array} to keep: given as `kept`, else None, it returns the same again without a ray; None for the scene's corners.
+    light: generator function of Points, that returns (P,) what they get, roughly. group_of: the light
+    group of a lamp's or object's name, see groups.make_groups; None keeps no groups. state: the State of a bake of the same
+    scene, to go on from: no ray of it is cast again. Raises StateError if it is not the same scene."""
+    scene = mend(scene)
+    groups = make_groups(scene, group_of, emitting_polygons(scene)) if group_of else None
+    if state is not None:
+        state.check(scene, settings, groups)
     try:
-        course = _Course(scene, settings, cells, place, group_of)
+        course = _Course(scene, settings, cells, place, groups, state)
         yield from course.transport()
         yield from course.pilot()
-        course.price = course.prices(PRICED)
+        course.price = course.price or course.prices(PRICED)
         while wanted := course.wanted():
-            for rays, ids in wanted:
-                yield from course.gather(rays, ids)
+            course.ask(wanted)
+            yield from course.gather()
             yield from course.look()
         yield from course.finish()
         course.clock.lap("gather")
@@ -116,7 +129,9 @@ def price(scene, settings, cells, errors=PRICED, place=None, group_of=None):
     """The price list of a scene, a tuple of Price for each of the errors: what a bake finds out with its pilot. A generator
     that yields Progress, which has no light to take; see `bake`."""
     try:
-        course = _Course(scene, settings, cells, place, group_of)
+        scene = mend(scene)
+        groups = make_groups(scene, group_of, emitting_polygons(scene)) if group_of else None
+        course = _Course(scene, settings, cells, place, groups)
         for part in (course.transport(), course.pilot()):
             yield from _each(part, lambda progress: replace(progress, take=None))
         return course.prices(errors)
@@ -124,88 +139,157 @@ def price(scene, settings, cells, errors=PRICED, place=None, group_of=None):
         cells.clear()
 
 
+def restored(scene, state, place=None):
+    """The Bake that a State has come to, without casting a ray: a generator, as `place` is one; see `bake`. Raises StateError
+    if the scene is another, or there is no light at points yet."""
+    scene = mend(scene)
+    state.check_scene(scene)
+    if state.gathered is None:
+        raise StateError("its bake has not come to the light at points yet: carry it on first")
+    course = _Course(scene, state.settings, LocalCells(), place, state.groups, state)
+    course.lay()
+    yield from course.take_up()
+    return course.result()
+
+
 class _Course:
     """A bake under way: the records of its path as far as they are made."""
 
-    def __init__(self, scene, settings, cells, place, group_of):
-        self.cells, self._place, self._group_of = cells, place, group_of
+    def __init__(self, scene, settings, cells, place=None, groups=None, state=None):
+        self.cells, self._place, self.groups, self._known = cells, place, groups, state
         self.clock = _Clock(cells)
-        self.scene = self.written = mend(scene)
-        self.survey = survey(self.scene, settings, cells)
+        self.scene = self.written = scene
+        self.survey = self._surveyed(settings)
         self.settings = _eased(settings, self.survey)
-        self.price, self._gather_seconds, self._gather_rays = (), 0.0, 0
-        self.points = self.side = self.groups = self.gathering = self.control = self.estimate = self.openness = None
+        self._coarse = False
+        if state:
+            eased, self.settings = self.settings, state.knobs(settings)
+            self._coarse = _finer(eased, self.settings)
+        self.solution = self.points = self.side = self.gathering = self.control = self.estimate = self.openness = None
+        self._places, self._round, self._solved = None, None, settings.error
+        self._bounds, self._doubt, self.price = [], inf, state.price if state else ()
+        self._gather_seconds, self._gather_rays = 0.0, 0
         self.clock.lap("survey")
 
-    def transport(self):
-        """Phase 1: patches, and the radiosity of their sides."""
-        scene, settings, cells, found = self.scene, self.settings, self.cells, self.survey
-        yield Progress("survey", 1.0, self.clock.total())
+    def _surveyed(self, settings):
+        """The Survey: that of the known state, if it was made for an error as small."""
+        known = self._known
+        if known and known.settings.error <= settings.error:
+            self.cells.start(cast_arrays(self.scene, "transparency" in known.settings.force))
+            return known.survey
+        if known:  # what is in its light stays there
+            settings = replace(settings, force=tuple(e.name for e in known.survey.effects if e.needed) + settings.force)
+        found = survey(self.scene, settings, self.cells)
+        if known:
+            known.agrees(found)
+        return found
+
+    def lay(self):
+        """Patches, and what they do with light."""
+        scene, settings, cells, found, known = self.scene, self.settings, self.cells, self.survey, self._known
         edge = None if settings.patch_edge is None else settings.patch_edge * scene.diagonal
-        patches = make_patches(scene, edge)
+        patches = known.patches if known else make_patches(scene, edge)
         world = scene.world if found.needs("sky") else World()
         sky, _ = split_sky(world)
         sources, sampled = make_sources(scene.but(world=world))
         if not found.needs("color"):
             sources = sources.one_channel()
         ungrouped = sources
-        if self._group_of:
-            self.groups = make_groups(scene, self._group_of, emitting_polygons(scene))
+        if self.groups:
             sources = self.groups.of_sources(sources)
         cells.start(transport_arrays(patches, sources, found.needs("occlusion"), len(sky)))
         # Patches that are to be the mesh's own polygons stay what they are.
-        if edge is not None and found.needs("occlusion"):
+        if not known and edge is not None and found.needs("occlusion"):
             patches = cut_contacts(scene, patches, cells)
         surfaces, sky = _surfaces(scene, patches, sampled, found, np.pi * sky.T)
         if self.groups:
             _, surfaces, sky = self.groups.apart(ungrouped, surfaces, sky, scene.polygon_object[patches.polygon])
         if surfaces.coverage is not None:
             cells.start({"alpha.coverage": surfaces.coverage[::2]})
-        self.patches, self.surfaces, self.sky = patches, surfaces, sky
+        self.patches, self.surfaces, self.sources, self.sky = patches, surfaces, sources, sky
         self.clock.lap("patches")
-        yield Progress("patches", 1.0, self.clock.total())
 
-        if settings.schedule == "paper":
-            solving = solve_paper(patches, surfaces, sources, sky, cells, settings)
+    def transport(self):
+        """Phase 1: patches, and the radiosity of their sides."""
+        settings, known = self.settings, self._known
+        yield Progress("survey", 1.0, self.clock.total())
+        self.lay()
+        yield self._progress("patches", 1.0)
+
+        if known and known.solution and min(known.solved, known.solution.bound / SOLVED) <= settings.error:
+            self.solution, self._solved = known.solution, min(known.solved, settings.error)
+        elif settings.schedule == "paper":
+            solving = solve_paper(self.patches, self.surfaces, self.sources, self.sky, self.cells, settings)
+            self.solution = yield from _each(self.clock.watch(solving), self._of_round)
         else:
-            solving = solve(patches, surfaces, sky, cells, settings, found)
-        self.solution = yield from _each(self.clock.watch(solving), self._of_round)
+            before = known and known.solution
+            solving = solve(self.patches, self.surfaces, self.sky, self.cells, settings, self.survey, before)
+            self.solution = yield from _each(self.clock.watch(solving), self._of_round)
+            if before:  # its control points read another light
+                self.solution = known.with_rows(self.solution)
+                self._known = replace(known, traced=known.traced and Traced(rounds=known.traced.rounds), doubt=inf)
         self.clock.lap("transport")
 
     def pilot(self):
         """The first replicates at all points, and a first look at their error."""
-        yield from self._find_points()
-        self.gathering = self._gathering(self.points, self.side)
-        for _ in range(PILOT):
-            yield from self.gather(self.settings.pilot_rays)
-        if len(self.points):
+        yield from self.take_up()
+        yield from self.gather()
+        while len(self.gathering.gathered.replicates) < PILOT:
+            self.ask([(self.settings.pilot_rays, None)])
+            yield from self.gather()
+        if len(self.points) and self.control is None:
             each, count = self.settings.per_object, CONTROL_POINTS
             if each:
                 objects = len(np.unique(self.points.object))
                 count = min(max(count, EACH_OBJECT * objects), MOST_CONTROL_POINTS)
             drawn = draw_control(self.points, self._light().total, count, each)
-            self.control = Control(*drawn, self.cells, self.settings, self._group_count)
+            traced = Traced(rounds=self._known.traced.rounds) if self._known and self._known.traced else None
+            self.control = Control(*drawn, self.cells, self.settings, self._group_count, traced)
         yield from self.look()
         self.clock.lap("survey")
 
-    def _gathering(self, points, side):
+    def take_up(self):
+        """Find the points, and what is known of their light."""
+        known = self._known
+        self.solution = self.solution or known.solution
+        yield from self._find_points()
+        self.gathering = self._gathering(self.points, self.side, known and known.gathered)
+        if known:
+            self._bounds, self._doubt = list(known.bounds), known.doubt
+        if known and known.openness and known.openness[0] == self.settings.occlusion:
+            self.openness = known.openness[1]
+        if known and known.control is not None and known.each_object >= self.settings.per_object:
+            self.control = Control(*known.control, self.cells, self.settings, self._group_count, known.traced)
+
+    def _gathering(self, points, side, gathered=None):
         """A Gathering at points, (P,) on patch sides."""
         self.cells.start(light_arrays(points, self.solution, self.surfaces, self.sky))
-        return Gathering(points, patch_light(side, self.solution), self.cells, self.settings, self._group_count)
+        start = patch_light(side, self.solution)
+        return Gathering(points, start, self.cells, self.settings, self._group_count, gathered)
 
-    def gather(self, rays, ids=None):
-        """Another replicate of the light at points ids, all of them if None."""
-        begun, count = perf_counter(), len(self.points) if ids is None else len(ids)
-        timed = begun if self.price else None  # while the pilot runs nobody knows how much there is to do
-        yield from _each(self.gathering.gather(rays, ids), lambda done: self._of_points(done, count, timed))
-        self._gather_seconds += perf_counter() - begun
-        self._gather_rays += rays * count / max(len(self.points), 1)
+    def ask(self, wanted):
+        """Ask for replicates of the light at the points: (rays, ids of points or None) of each."""
+        for rays, ids in wanted:
+            self.gathering.ask(rays, ids)
+        self._bounds += [self.solution.bound] * len(wanted)
+        self._doubt = inf
+
+    def gather(self):
+        """Gather the replicates that were asked for."""
+        while self.gathering.next is not None:
+            begun, before = perf_counter(), self.gathering.mean_rays
+            count = int(self.gathering.gathered.replicates[self.gathering.next].asked.sum())
+            timed = begun if self.price else None  # while the pilot runs nobody knows how much there is to do
+            yield from _each(self.gathering.gather(), partial(self._of_points, count=count, begun=timed))
+            self._gather_seconds += perf_counter() - begun
+            self._gather_rays += self.gathering.mean_rays - before
 
     def prices(self, errors):
         """A tuple of Price for each of the errors, after the pilot."""
         if self.estimate is None:
             return ()
-        seconds, used, rate = self.clock.seconds(), self.clock.cells(), self._gather_seconds / self._gather_rays
+        seconds, used = self._seconds(), self.clock.cells()
+        rate = seconds["replicates"] / max(seconds["rays"], 1e-9)
         grows = seconds["patches"] + seconds["transport"]
         spent = grows, sum(seconds[p] for p in ("survey", "patches", "transport")) - grows
         memory = used["host_mb"] + sum(used["cells_mb"])
@@ -224,18 +308,25 @@ class _Course:
         own, *others = (sqrt(k.row_rays) * count[k.patch_edge] for k in knobs)
         return [work / max(own, 1.0) for work in others]
 
+    def _seconds(self):
+        """{phase: seconds} spent so far, also by the bake that is carried on; "replicates": on `rays` gather rays."""
+        now = {**self.clock.seconds(), "replicates": self._gather_seconds, "rays": self._gather_rays}
+        before = self._known.seconds if self._known else {}
+        return {name: value + before.get(name, 0.0) for name, value in now.items()}
+
     def look(self):
         """Find the error as it stands; as much is spent on it as the error asked for needs."""
         if self.control is None:
             return
+        if self.control.under_way:
+            yield from _each(self.control.complete(), self._of_control)
         if not self.control.rays:
             yield from _each(self.control.trace(_control_rays(self.settings)), self._of_control)
         self._estimate()
         # More rays where the control itself is in doubt, as long as they help; above all before rays are spent at all
         # points against what may be chance.
-        doubt = np.inf
-        while self.estimate.doubt < HELP * doubt and self.control.rays < MOST_CONTROL_RAYS and self._unsure():
-            doubt = self.estimate.doubt
+        while self.estimate.doubt < HELP * self._doubt and self.control.rays < MOST_CONTROL_RAYS and self._unsure():
+            self._doubt = self.estimate.doubt
             yield from _each(self.control.trace(self.control.rays), self._of_control)
             self._estimate()
 
@@ -246,8 +337,15 @@ class _Course:
         return found.noise <= ENOUGH * error and found.doubt > share * max(found.noise, SMALL * error) ** 2
 
     def _estimate(self):
-        free = self.gathering.closest > CROWDED
-        self.estimate = estimate_error(self.points, self._light(), self.control, free, self.solution.bound)
+        free = self.gathering.gathered.closest > CROWDED
+        self.estimate = estimate_error(self.points, self._light(), self.control, free, self._bound())
+
+    def _bound(self):
+        """The certified bound of the transport that the replicates have read, of all together."""
+        if len(set(self._bounds)) == 1:
+            return self._bounds[0]
+        weights = [r.weight.sum() for r in self.gathering.gathered.replicates]
+        return sum(w * b for w, b in zip(weights, self._bounds)) / sum(weights)
 
     @property
     def _group_count(self):
@@ -277,7 +375,7 @@ class _Course:
         settings = self.settings
         if not settings.per_object or self.estimate is None or self._timed or settings.gather_rays is not None:
             return []
-        if len(self.gathering.replicates) >= MOST_REPLICATES:
+        if len(self.gathering.gathered.replicates) >= MOST_REPLICATES:
             return []
         owner, so_far = self.points.object, np.zeros(len(self.estimate.objects))
         np.maximum.at(so_far, owner, self.gathering.rays)
@@ -293,8 +391,11 @@ class _Course:
             return 0
         if self._timed:
             left = self.settings.seconds - self.clock.total()
-            rays = int(IN_TIME * left * self._gather_rays / max(self._gather_seconds, 1e-9))
+            seconds = self._seconds()
+            rays = int(IN_TIME * left * seconds["rays"] / max(seconds["replicates"], 1e-9))
             return min(rays, MOST_RAYS) if rays >= PILOT * self.settings.pilot_rays else 0
+        if self._coarse and self.estimate.patches >= self.settings.error:
+            return 0
         return rays_wanted(self.estimate, so_far, self.settings.error)
 
     def result(self, solution=None):
@@ -305,13 +406,13 @@ class _Course:
             light = patch_light(self.side, solution)
         points, solution, error = self.points, solution or self.solution, self.settings.error
         reached = self.estimate is not None and self._error <= error
-        thin = tuple(thin_findings(self.scene, points))
+        more = (*thin_findings(self.scene, points), *self._coarse_findings())
         light = by_group = refill(points, light)
         return Bake(
             self.written,
             self.settings,
             with_costs(
-                self.survey.after(self.scene, self.patches, solution, error, self.cells.note, thin),
+                self.survey.after(self.scene, self.patches, solution, error, self.cells.note, more),
                 self.clock.parts(),
                 self.clock.watched,
             ),
@@ -321,7 +422,7 @@ class _Course:
             weighted(light, self.groups) if self.groups else light,
             estimate=self.estimate,
             converged=solution.converged and (reached or self.settings.gather_rays is not None or self._timed),
-            floor=reached and len(self.gathering.replicates) <= PILOT,
+            floor=reached and len(self.gathering.gathered.replicates) <= PILOT,
             price=self.price,
             seconds=self.clock.seconds(),
             rays=self.clock.rays(),
@@ -329,11 +430,44 @@ class _Course:
             groups=self.groups,
             by_group=by_group if self.groups else None,
             openness=self.openness,
+            state=self.state,
         )
+
+    def _coarse_findings(self):
+        """A Finding if the patches of the known state are longer than those that would have been made."""
+        if self._coarse and self.estimate:
+            yield Finding(
+                "patches",
+                f"those of the state are longer, or their rows shorter, than {100 * self.settings.error:.3g} % asks for",
+                f"they were kept: {100 * self.estimate.patches:.2g} % of the error is theirs; without the state they are finer",
+            )
+
+    def state(self):
+        """The State as it stands: of what is known what has not come about again, and all that has."""
+        known = self._known or State(scene_prints(self.scene), self.settings, self.survey, self.patches, self.groups)
+        error = min(self.settings.error, known.settings.error)
+        found = dict(
+            settings=replace(self.settings, error=error), survey=self.survey, seconds=self._seconds(), price=self.price
+        )
+        if self.solution is not None:
+            found.update(solution=self.solution, solved=self._solved)
+        elif self._round is not None:
+            rows = known.with_rows(self._round.solution())
+            found.update(solution=replace(known.solution, rows=rows.rows) if known.solved < inf else rows)
+        if self._places is not None:
+            found.update(places=self._places, side=self.side)
+        if self.gathering is not None:
+            found.update(gathered=self.gathering.gathered, bounds=tuple(self._bounds), doubt=self._doubt)
+        if self.control is not None:
+            found.update(control=(self.control.ids, self.control.weight), traced=self.control.traced)
+            found.update(each_object=self.settings.per_object or known.each_object)
+        if self.openness is not None:
+            found.update(openness=(self.settings.occlusion, self.openness))
+        return replace(known, **found)
 
     def finish(self):
         """What is asked for beside the light."""
-        if self.settings.occlusion is not None:
+        if self.settings.occlusion is not None and self.openness is None:
             finding = find_openness(self.points, self.settings.occlusion, self.cells, self.settings.seed)
             self.openness = yield from _each(finding, lambda done: self._of_points(done[0]))
 
@@ -343,23 +477,32 @@ class _Course:
             self.points, self.side = self._make_points(self.settings.side)
 
     def _make_points(self, side):
+        known = self._known
+        if known and known.places is not None:
+            self._places = known.places
+            return from_arrays(Points, "points", known.places), known.side
         cells = self.cells if self.survey.needs("occlusion") else None
         points = make_points(self.scene, self._flipped(side), cells)
+        self._places = to_arrays("points", points)
         return points, sides_of(points, self.cells)
 
     def _find_points(self):
         """Make the points, if they are not there."""
         if self._place:
-            flipped = self._flipped(self.settings.side)
-            self.written, self.points = yield from self._place(self.scene, flipped, self.cells, self._rough_light)
-            self.side = sides_of(self.points, self.cells)
+            known, flipped = self._known, self._flipped(self.settings.side)
+            kept = known and known.places
+            placing = self._place(self.scene, flipped, self.cells, self._rough_light, kept)
+            self.written, self.points, places = yield from placing
+            self.side = sides_of(self.points, self.cells) if kept is None else known.side
+            self._places = places
         elif self.points is None:
             self.points, self.side = self._make_points(self.settings.side)
 
     def _rough_light(self, points):
         """(P,) what points get, roughly: a generator."""
         gathering = self._gathering(points, sides_of(points, self.cells))
-        yield from _each(gathering.gather(ROUGH_RAYS), lambda done: self._of_points(done, len(points)))
+        gathering.ask(ROUGH_RAYS)
+        yield from _each(gathering.gather(), lambda done: self._of_points(done, len(points)))
         return gathering.light(self.scene.diagonal).total.mean(axis=0)
 
     def _flipped(self, side):
@@ -381,23 +524,24 @@ class _Course:
     def _of_round(self, done):
         """Progress of the transport: the bound falls about evenly in its logarithm."""
         share = min(log(max(done.bound, 1e-12)) / log(self.settings.error / 10), 1.0) if done.bound < 1 else 0.0
-        clock, take = self.clock, None
+        take, self._round = None, done
         self._show_early()
-        if self.points is not None:
+        if self.points is not None and not (self._known and self._known.gathered):
             take = lambda: self.result(done.solution())
-        return Progress("transport", float(share), clock.total(), clock.rays(), done.number, done.bound, take=take)
+        return self._progress("transport", float(share), round=done.number, bound=done.bound, take=take)
 
     def _of_points(self, done, count=None, begun=None):
         """Progress of the gather; begun: when it did, for a guess at the seconds left."""
-        share, clock = done / max(count or len(self.points), 1), self.clock
+        share = done / max(count or len(self.points), 1)
         left = None if begun is None else (perf_counter() - begun) * (1 - share) / max(share, 1e-9)
-        return Progress(
-            "gather", share, clock.total(), clock.rays(), points=done, left=left,
-            error=self.estimate and self.estimate.total, take=self.gathering and self.result,
-        )  # fmt: skip
+        error = self.estimate and self.estimate.total
+        return self._progress("gather", share, points=done, left=left, error=error, take=self.gathering and self.result)
 
     def _of_control(self, share):
-        return Progress("error", share, self.clock.total(), self.clock.rays(), take=self.result)
+        return self._progress("error", share, take=self.result)
+
+    def _progress(self, phase, done, **more):
+        return Progress(phase, done, self.clock.total(), self.clock.rays(), state=self.state, **more)
 
 
 def _control_rays(settings):
@@ -416,6 +560,13 @@ def _eased(settings, found):
         return settings
     longer = EASED if settings.error >= 0.01 else EASED_FINE
     return replace(settings, patch_edge=longer * settings.patch_edge, row_rays=2 * settings.row_rays)
+
+
+def _finer(wanted, settings):
+    """Whether wanted Settings have smaller patches, or longer rows, than others."""
+    if wanted.patch_edge is None or settings.patch_edge is None:
+        return False
+    return wanted.patch_edge < settings.patch_edge or wanted.row_rays > settings.row_rays
 
 
 def _surfaces(scene, patches, sampled, found, sky):
@@ -443,12 +594,13 @@ def run(generator, show=None):
 
 def _each(generator, progress):
     """Yield `progress` of all that a generator yields; returns what it returns."""
-    while True:
-        try:
-            item = next(generator)
-        except StopIteration as end:
-            return end.value
-        yield progress(item)
+    try:
+        while True:
+            yield progress(next(generator))
+    except StopIteration as end:
+        return end.value
+    finally:
+        generator.close()
 
 
 class _Clock:

@@ -108,6 +108,10 @@ class Cells:
                     break
         return [kept.pop(k) for k in ids]
 
+    def brought(self, ids):
+        """{id: result} of those of some tasks whose results have come and were not taken yet."""
+        return {number: self._kept[number] for number in ids if number in self._kept}
+
     def __enter__(self):
         return self
 

@@ -8,6 +8,8 @@ missed, beside the noise and the filter of the bake. Two independent truths, who
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 
 from .anew import read_light, reflect_anew
@@ -22,50 +24,68 @@ APART = 1 << 20  # seeds of control points are so far from those of the gather, 
 DIRECT_TESTS = 64  # test rays to every source, at most
 
 
+@dataclass(frozen=True)
+class Traced:
+    """What a Control has traced: `rounds` rounds of `rays` rays in all, sums (2, 2, C, K) of truths and of what patches add;
+    and of a round of `asked` rays that is under way, truth and patches (C, N) at the first N of its places."""
+
+    rays: int = 0
+    rounds: int = 0
+    sums: np.ndarray | None = None
+    asked: int = 0
+    truth: np.ndarray | None = None
+    patches: np.ndarray | None = None
+
+
 class Control:
     """K control points, and truths of their light, as many as have been traced.
 
     ids: (K,) points, sorted. weight: (K,) [m^2], so that sums of weight times a value estimate sums of area times it over
     all points. truth: (2, C, K) two independent means of the light [W/m^2]; patches: (2, C, K) how much more the same
-    rays bring if they read the patches that they meet. rays: of each truth so far.
+    rays bring if they read the patches that they meet. rays: of each truth so far. traced: all that, as Traced.
     """
 
-    def __init__(self, ids, weight, cells, settings, groups=1):
-        """groups: number of light groups, whose light is put together."""
+    def __init__(self, ids, weight, cells, settings, groups=1, traced=None):
+        """groups: number of light groups, whose light is put together. traced: to go on from."""
         self.ids, self.weight, self._cells, self._settings, self._groups = ids, weight, cells, settings, groups
-        self.rays, self._rounds, self._sums = 0, 0, None
+        self.traced = traced or Traced()
 
     def trace(self, rays):
         """Trace another `rays` rays of both truths at every point: a generator that yields after every task."""
+        self.traced = replace(self.traced, asked=rays)
+        return self.complete()
+
+    def complete(self):
+        """Trace the rest of a round that was broken off: a generator like that of `trace`."""
+        rays, rounds, count = self.traced.asked, self.traced.rounds, len(self.ids)
+        done = 0 if self.traced.truth is None else self.traced.truth.shape[1]
         size = max(TASK_RAYS // (3 * rays + min(rays, DIRECT_TESTS)), 1)
         tasks = [
             self._cells.submit(
                 "control", ids=self.ids[k : k + size], rays=rays, seed=self._settings.seed + SEEDS * (APART + seed)
             )
-            for seed in (2 * self._rounds, 2 * self._rounds + 1)
-            for k in range(0, len(self.ids), size)
+            for number, seed in enumerate((2 * rounds, 2 * rounds + 1))
+            for k in range(min(max(done - number * count, 0), count), count, size)
         ]
-        results = []
-        for task in tasks:
-            results += self._cells.take([task])
-            yield len(results) / len(tasks)
-        sums = [
-            np.concatenate([result[name] for result in results], axis=1).reshape(-1, 2, len(self.ids))
-            for name in ("truth", "patches")
-        ]
+        for k, task in enumerate(tasks):
+            (result,) = self._cells.take([task])
+            before = self.traced
+            truth, patches = (
+                result[name] if old is None else np.concatenate([old, result[name]], axis=1)
+                for name, old in (("truth", before.truth), ("patches", before.patches))
+            )
+            self.traced = replace(before, truth=truth, patches=patches)
+            yield (k + 1) / len(tasks)
+        sums = [values.reshape(-1, 2, count) for values in (self.traced.truth, self.traced.patches)]
         sums = rays * np.moveaxis(np.stack(sums), 2, 1)  # (truth or patches, which of the two, C, K)
-        sums = sums.reshape(2, 2, self._groups, -1, len(self.ids)).sum(axis=2)
-        self._sums = sums if self._sums is None else self._sums + sums
-        self.rays += rays
-        self._rounds += 1
+        sums = sums.reshape(2, 2, self._groups, -1, count).sum(axis=2)
+        before = self.traced
+        self.traced = Traced(before.rays + rays, rounds + 1, sums if before.sums is None else before.sums + sums)
 
-    @property
-    def truth(self):
-        return self._sums[0] / self.rays
-
-    @property
-    def patches(self):
-        return self._sums[1] / self.rays
+    rays = property(lambda self: self.traced.rays)
+    under_way = property(lambda self: self.traced.asked > 0)
+    truth = property(lambda self: self.traced.sums[0] / self.traced.rays)
+    patches = property(lambda self: self.traced.sums[1] / self.traced.rays)
 
 
 def draw_control(points, light, count, per_object):

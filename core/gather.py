@@ -7,6 +7,7 @@ sources by test rays (`direct`), light of faces that are not sampled and of the 
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import dataclass
 from time import thread_time
 
@@ -64,58 +65,106 @@ class Light:
 
 @dataclass(frozen=True)
 class Replicate:
-    """One independent sample of the light at all points: weight (P,), 0 where it was not taken, and (C, P) float32 each,
-    direct light of sampled sources, light found by rays, and light reflected at least once [W/m^2]."""
+    """One independent sample of the light, by so many rays at each of the points that are asked, (P,) bool: weight (P,), 0
+    where it was not taken (yet), and (C, P) float32 each, direct light of sampled sources, light found by rays, and light
+    reflected at least once [W/m^2]; nearness: (P,) mean inverse distance that the rays went, in scene diagonals."""
 
+    rays: int
+    asked: np.ndarray
     weight: np.ndarray
     direct: np.ndarray
     found: np.ndarray
     reflected: np.ndarray
+    nearness: np.ndarray
+
+    @property
+    def left(self):
+        """(K,) int32 points where it is still to be taken."""
+        return np.flatnonzero(self.asked & (self.weight == 0)).astype(np.int32)
+
+
+@dataclass(frozen=True)
+class Gathered:
+    """What a Gathering has found so far: Replicates; closest (P,), the shortest way that any of their rays went, in scene
+    diagonals; links (E,) bool, which neighbors see one another. As long as it goes on, so does this."""
+
+    replicates: list
+    closest: np.ndarray
+    links: np.ndarray
+
+    def copy(self):
+        """The same, for another Gathering to go on from."""
+        whole = [deepcopy(r) if len(r.left) else r for r in self.replicates]
+        return Gathered(whole, self.closest.copy(), self.links.copy())
 
 
 class Gathering:
     """Light at points, gathered in replicates: independent samples of the same light, to which more can be added.
 
-    rays: (P,) gather rays so far. closest: (P,) the shortest way any of them went, in scene diagonals. Replicates of n rays
-    count by n^1.25: their variance falls by 1.0 to 1.6 in the exponent, and what is said of it must not be too low.
+    gathered: what there is so far, as Gathered. Replicates of n rays count by n^1.25: their variance falls by 1.0 to 1.6
+    in the exponent, and what is said of it must not be too low.
     """
 
-    def __init__(self, points, start, cells, settings, groups=1):
+    def __init__(self, points, start, cells, settings, groups=1, gathered=None):
         """start: the Light to show where nothing was gathered yet. cells: started with `light_arrays`. groups: number of
         light groups, whose channels lie one after the other: noise is judged by their sum, so that they stay parts of it.
+        gathered: what another Gathering of the same has found, to go on from.
         """
         self.points, self.cells, self.settings, self._start, self._groups = points, cells, settings, start, groups
-        self.replicates, self._taken, self._light = [], None, None
-        self.rays, self._nearness = np.zeros(len(points)), np.zeros(len(points))
-        self.closest = np.full(len(points), np.inf)
-        self._links = np.zeros(len(points.neighbor), bool)
+        nothing = Gathered([], np.full(len(points), np.inf), np.zeros(len(points.neighbor), bool))
+        self.gathered = gathered.copy() if gathered else nothing
+        self._taken, self._light = None, None
 
-    def gather(self, rays, ids=None):
-        """Gather another replicate of `rays` rays at points ids (all): a generator that yields the number of points done.
+    @property
+    def rays(self):
+        """(P,) gather rays so far."""
+        return sum((r.rays * (r.weight > 0) for r in self.gathered.replicates), np.zeros(len(self.points)))
+
+    @property
+    def mean_rays(self):
+        """Mean of the gather rays of all points."""
+        return float(self.rays.mean()) if len(self.points) else 0.0
+
+    @property
+    def next(self):
+        """Number of the first Replicate that is not complete, None if all are."""
+        return next((k for k, r in enumerate(self.gathered.replicates) if len(r.left)), None)
+
+    def ask(self, rays, ids=None):
+        """Ask for another replicate of `rays` rays at points ids (K,), all if None."""
+        count, light = len(self.points), (np.zeros(self._start.direct.shape, np.float32) for _ in PARTS)
+        asked = np.ones(count, bool) if ids is None else np.isin(np.arange(count), ids)
+        self.gathered.replicates.append(Replicate(rays, asked, np.zeros(count), *light, np.zeros(count)))
+
+    def gather(self):
+        """Gather the first replicate that is not complete: a generator that yields the number of its points that are done.
         What is done counts at once."""
-        points, first = self.points, not self.replicates
-        ids = np.arange(len(points), dtype=np.int32) if ids is None else ids.astype(np.int32)
+        number, replicate = self.next, self.gathered.replicates[self.next]
+        ids, rays = replicate.left, replicate.rays
         size = max(TASK_RAYS // (rays + TESTS), 1)
-        parts = [ids[k : k + size] for k in range(0, len(ids), size)]
-        seed = self.settings.seed + SEEDS * len(self.replicates)
-        shape = self._start.direct.shape
-        replicate = Replicate(np.zeros(len(points)), *(np.zeros(shape, np.float32) for _ in PARTS))
-        self.replicates.append(replicate)
-        tasks = [self.cells.submit("gather", ids=part, rays=rays, seed=seed, links=int(first)) for part in parts]
-        done = 0
-        for part, task in zip(parts, tasks):
-            (result,) = self.cells.take([task])
-            for name in PARTS:
-                getattr(replicate, name)[:, part] = result[name]
-            self._nearness[part] += rays * result["nearness"]
-            self.closest[part] = np.minimum(self.closest[part], result["closest"])
-            if first:
-                begin, end = points.neighbor_start[[part[0], part[-1] + 1]]
-                self._links[begin:end] = result["links"]
-            replicate.weight[part] = rays * np.sqrt(np.sqrt(rays))
-            self.rays[part] += rays
-            done += len(part)
-            yield done
+        arguments = dict(rays=rays, seed=self.settings.seed + SEEDS * number, links=int(not number))
+        parts = (ids[k : k + size] for k in range(0, len(ids), size))
+        tasks = {self.cells.submit("gather", ids=part, **arguments): part for part in parts}
+        done = int(replicate.asked.sum()) - len(ids)
+        try:
+            for task, part in tasks.items():
+                self._add(replicate, part, *self.cells.take([task]))
+                done += len(part)
+                yield done
+        finally:  # if it was broken off, later tasks may have been done before earlier ones
+            for task, result in self.cells.brought(tasks).items():
+                self._add(replicate, tasks[task], result)
+
+    def _add(self, replicate, ids, result):
+        """Add the result of a task at points ids (K,) to a Replicate."""
+        points = self.points
+        for name in (*PARTS, "nearness"):
+            getattr(replicate, name)[..., ids] = result[name]
+        self.gathered.closest[ids] = np.minimum(self.gathered.closest[ids], result["closest"])
+        if "links" in result:
+            here, number = counted(np.diff(points.neighbor_start)[ids].astype(np.int64))
+            self.gathered.links[points.neighbor_start[ids][here] + number] = result["links"]
+        replicate.weight[ids] = replicate.rays * np.sqrt(np.sqrt(replicate.rays))  # at last: what has it is whole
 
     def light(self, diagonal):
         """The Light so far, filtered; diagonal: of the scene [m].
@@ -123,34 +172,36 @@ class Gathering:
         The filter is linear, so it can be applied to each replicate: how their results scatter shows the noise that is
         left in the mean, filtered as it is.
         """
-        taken = len(self.replicates), float(self.rays.sum())
+        taken = len(self.gathered.replicates), float(self.rays.sum())
         if taken != self._taken:  # the same light is asked for after every look at its error
             self._taken, self._light = taken, self._filtered(diagonal)
         return self._light
 
     def _filtered(self, diagonal):
-        done = self.rays > 0
+        replicates, rays = self.gathered.replicates, self.rays
+        done = rays > 0
         if not done.any():
             return self._start
-        links = self._links & np.repeat(done, np.diff(self.points.neighbor_start)) & done[self.points.neighbor]
-        share = np.sqrt(np.sqrt(ratio(64.0, self.rays)))
-        filter = _Filter(self.points, REACH * share * diagonal * ratio(self.rays, self._nearness), links)
+        links = self.gathered.links & np.repeat(done, np.diff(self.points.neighbor_start)) & done[self.points.neighbor]
+        share = np.sqrt(np.sqrt(ratio(64.0, rays)))
+        nearness = sum(r.rays * r.nearness for r in replicates)
+        filter = _Filter(self.points, REACH * share * diagonal * ratio(rays, nearness), links)
 
-        weights = [r.weight for r in self.replicates]
+        weights = [r.weight for r in replicates]
         whole = sum(weights)
         direct, found, reflected = (
-            ratio(sum(r.weight * getattr(r, name) for r in self.replicates), whole) for name in PARTS
+            ratio(sum(r.weight * getattr(r, name) for r in replicates), whole) for name in PARTS
         )
-        off = [np.where(r.weight > 0, r.found + r.reflected - found - reflected, 0.0) for r in self.replicates]
+        off = [np.where(r.weight > 0, r.found + r.reflected - found - reflected, 0.0) for r in replicates]
         off = [self._together(noise) for noise in off]
         trust, filtered, bias = _trust(filter, self._together(found + reflected), off, weights)
         # Beside a steep edge what is smoothed can fall below 0.
         found, reflected = (np.maximum(x + trust * (filter.smooth(x) - x), 0.0) for x in (found, reflected))
 
         scatter = np.zeros_like(off[0])
-        for r, raw, smooth in zip(self.replicates, off, filtered):
+        for r, raw, smooth in zip(replicates, off, filtered):
             scatter += r.weight * (self._together(r.direct - direct) + raw + trust * (smooth - raw)) ** 2
-        more = sum(r.weight > 0 for r in self.replicates) - 1
+        more = sum(r.weight > 0 for r in replicates) - 1
         return Light(
             np.where(done, direct + found, self._start.direct),
             np.where(done, reflected, self._start.indirect),

@@ -18,7 +18,7 @@ import numpy as np
 
 from .graphs import components
 from .sky import solid_angles
-from .vectors import ratio
+from .vectors import counted, ratio
 
 TASK_RAYS = 1 << 15  # of one task at most: some 10 ms
 LEAST_RAYS = 1 << 11  # of one task at least: less is not worth a message
@@ -33,6 +33,7 @@ BLOCK = 1 << 16  # rays of the rows that a solver step gathers over at a time: t
 KRYLOV = 8  # directions that the solve combines at a time
 LEAST_COVERAGE = 1e-3  # of a patch, which keeps its irradiance finite
 SWEEPS = 2000  # of the solve, at most
+ENDLESS = 1 << 62  # bytes: as much memory as it takes
 MOST_ROWS = 30  # rows that are found of each side in the mean, where memory holds only few of them; then it ends
 
 
@@ -64,7 +65,7 @@ class Solution:
     reflected: light sent back or through, what gather rays read. irradiance: light arriving; direct: the part of it
     from sampled sources. rounds: tuple of Round.
     sweeps: over all rows. bound: certified bound on the largest error of `irradiance`, as a share of its mean.
-    energy: {name: W}, sums of the channels.
+    energy: {name: W}, sums of the channels. rows: those that were kept.
     """
 
     reflected: np.ndarray
@@ -75,6 +76,7 @@ class Solution:
     bound: float
     converged: bool
     energy: dict
+    rows: RayRows | AnalyticRows | None = field(default=None, repr=False)
 
 
 class RayRows:
@@ -98,6 +100,14 @@ class RayRows:
         others = RayRows(self.count, self.rays, np.inf if fits < len(sides) else 0)
         others._append(sides[fits:], hits[fits:])
         return others
+
+    def empty(self):
+        """Rows of the same kind, none so far, that are kept in any number."""
+        return RayRows(self.count, self.rays, ENDLESS)
+
+    def of_sides(self, sides):
+        """What a task would find for sides (K,) whose rows are kept."""
+        return {"hits": self.hits[_places(self.sides, self.count)[sides]]}
 
     def _append(self, sides, hits):
         self.sides, self.hits = np.concatenate([self.sides, sides]), np.concatenate([self.hits, hits])
@@ -169,6 +179,16 @@ class AnalyticRows:
         others = AnalyticRows(self.count, np.inf)
         others._append(sides[fits:], size[fits:], target[cut:], share[cut:])
         return others
+
+    def empty(self):
+        return AnalyticRows(self.count, ENDLESS)
+
+    def of_sides(self, sides):
+        row = _places(self.sides, self.count)[sides]
+        owner, number = counted(np.diff(self.start)[row])
+        entry = self.start[row][owner] + number
+        start = np.append(0, np.cumsum(np.diff(self.start)[row]))
+        return {"start": start, "target": self.target[entry], "share": self.share[entry]}
 
     def _append(self, sides, size, target, share):
         self.sides = np.concatenate([self.sides, sides])
@@ -348,6 +368,7 @@ class Transport:
             bound=bound,
             converged=bound <= target,
             energy=self.energy(),
+            rows=self.rows,
         )
 
     def energy(self):
@@ -442,10 +463,12 @@ def _least_residual(update, values, updated, goal):
     return sum(y * b for y, b in zip(share, basis)) + np.zeros_like(residual), len(triangle)
 
 
-def solve(patches, surfaces, sky, cells, settings, survey=None):
+def solve(patches, surfaces, sky, cells, settings, survey=None, known=None):
     """Find the Solution: a generator that yields a Round after every round and returns the Solution.
 
     sky: (C, M) exitance of the world, of each cell of its map [W/m^2]. survey: the Survey of the scene, if one was made. cells: started with `kernel.scene_arrays`.
+    known: a Solution for the same, perhaps unfinished, whose direct light and rows are taken, not traced again; the
+    result has the bits that it would have without.
     """
     begun = perf_counter()
     count, target = 2 * len(patches), settings.error / 10
@@ -454,37 +477,50 @@ def solve(patches, surfaces, sky, cells, settings, survey=None):
     if survey is not None:
         island = np.unique(survey.island[patches.polygon].reshape(-1), return_inverse=True)[1].reshape(-1)
         sides = sides if survey.needs("two-sided") else sides[::2]
-    direct = light_patches(cells, count, settings, sides)
+    known_rows = rows.empty() if known is None else known.rows
+    direct = light_patches(cells, count, settings, sides) if known is None else known.direct
     state = Transport(patches.area, surfaces, direct, sky, rows, island=island)
     taken, in_flight, rounds, sweeps, shots = np.zeros(count, bool), deque(), [], 0, 0
     settled = False
-    while not settled:
-        # Fill the pipeline with the brightest sides that have no row yet.
-        inside, outside = state.missing()
-        while (
-            len(in_flight) < LAG
-            and outside > target / 2
-            and shots < MOST_ROWS * count
-            and len(batch := state.pick(taken))
-        ):
-            taken[batch] = True
-            batch = costliest_first(batch, patches, settings)
-            in_flight.append((batch, submit_rows(cells, batch, settings)))
-        if in_flight:
-            batch, tasks = in_flight.popleft()
-            shots += len(batch)
-            again = state.add(batch, cells.take(tasks))
-            taken[again] = False  # their rows did not fit: they may be picked again when light comes back to them
+    try:
+        while not settled:
+            # Fill the pipeline with the brightest sides that have no row yet.
             inside, outside = state.missing()
-        else:
-            # No bright side is left without a row: solve, and see whether that brightens the others.
-            irradiance, more, inside = state.settle(target)
-            sweeps += more
-            _, outside = state.missing()
-            settled = outside <= target / 2 or shots >= MOST_ROWS * count or not len(state.pick(taken))
-        rounds.append(round_of(state, rounds, inside + outside, shots, begun))
-        yield rounds[-1]
+            while (
+                len(in_flight) < LAG
+                and outside > target / 2
+                and shots < MOST_ROWS * count
+                and len(batch := state.pick(taken))
+            ):
+                taken[batch] = True
+                batch = costliest_first(batch, patches, settings)
+                in_flight.append((batch, submit_rows(cells, batch[~known_rows.kept[batch]], settings)))
+            if in_flight:
+                batch, tasks = in_flight[0]
+                again = state.add(batch, _with_known(known_rows, batch, cells.take(tasks)))
+                in_flight.popleft()
+                shots += len(batch)
+                taken[again] = False  # their rows did not fit: they may be picked again when light comes back to them
+                inside, outside = state.missing()
+            else:
+                # No bright side is left without a row: solve, and see whether that brightens the others.
+                irradiance, more, inside = state.settle(target)
+                sweeps += more
+                _, outside = state.missing()
+                settled = outside <= target / 2 or shots >= MOST_ROWS * count or not len(state.pick(taken))
+            rounds.append(round_of(state, rounds, inside + outside, shots, begun))
+            yield rounds[-1]
+    finally:
+        state.rows = _brought(state.rows, in_flight, cells)  # there are some if it was broken off
     return state.solution(irradiance, rounds, sweeps, target)
+
+
+def _brought(rows, in_flight, cells):
+    """Rows with those that cells have brought of batches under way."""
+    sides = {task: part for _, tasks in in_flight for task, part in tasks.items()}
+    results = cells.brought(sides)
+    others = [sides[task] for task in results]
+    return joined_rows(rows, rows.sides, np.concatenate(others), list(results.values())) if others else rows
 
 
 def light_patches(cells, count, settings, sides=None):
@@ -508,14 +544,12 @@ def make_rows(count, settings):
 
 
 def submit_rows(cells, sides, settings):
-    """Ids of the tasks that find the rows of sides (K,)."""
+    """The tasks that find the rows of sides (K,): {id: sides}."""
     if settings.rows == "analytic":
         size = min(max(len(sides) // (SHARES * cells.count), 1), ANALYTIC_TASK)
-        return [cells.submit("analytic", sides=part, seed=settings.seed) for part in _parts(sides, size)]
-    size = _task_size(len(sides), settings.row_rays, cells)
-    return [
-        cells.submit("rows", sides=part, rays=settings.row_rays, seed=settings.seed) for part in _parts(sides, size)
-    ]
+        return {cells.submit("analytic", sides=part, seed=settings.seed): part for part in _parts(sides, size)}
+    size, asked = _task_size(len(sides), settings.row_rays, cells), dict(rays=settings.row_rays, seed=settings.seed)
+    return {cells.submit("rows", sides=part, **asked): part for part in _parts(sides, size)}
 
 
 def costliest_first(sides, patches, settings):
@@ -529,6 +563,31 @@ def costliest_first(sides, patches, settings):
     offset = np.einsum("kc->k", normal * patches.centroid[sides // 2])
     height = np.einsum("kc,sc->ks", normal, patches.centroid[sample]) - offset[:, None]
     return sides[np.argsort(-(height > 0).sum(axis=1), kind="stable")]
+
+
+def _with_known(known, sides, results):
+    """What tasks would have found for sides (K,), from the results for those of them that have no `known` row."""
+    there = known.kept[sides]
+    if not there.any():
+        return results
+    both = joined_rows(known, sides[there], sides[~there], results)
+    return [both.of_sides(sides)]
+
+
+def joined_rows(known, kept, others, results):
+    """Rows with those of sides `kept` (K,) of `known` rows and those of others (L,), given by the results of their tasks."""
+    both = known.empty()
+    both.add(kept, [known.of_sides(kept)])
+    if len(others):
+        both.add(others, results)
+    return both
+
+
+def _places(sides, count):
+    """(count,) where each side is among sides (K,)."""
+    place = np.zeros(count, np.int64)
+    place[sides] = np.arange(len(sides))
+    return place
 
 
 def _task_size(count, rays, cells):

@@ -10,7 +10,7 @@ import numpy as np
 def to_arrays(prefix, record):
     """{"prefix.field": array} of all fields of a record; None is left out."""
     return {
-        f"{prefix}.{f.name}": np.ascontiguousarray(getattr(record, f.name))
+        f"{prefix}.{f.name}": np.asarray(getattr(record, f.name), order="C")
         for f in fields(record)
         if getattr(record, f.name) is not None
     }
