@@ -8,10 +8,6 @@ from ..core.layers import LAYERS
 from ..core.settings import EFFECTS, PRESETS
 from .job import Options
 
-LATER = {
-    "--state": "state files",
-}  # fmt: skip
-
 
 def percent(text):
     """A relative error from a command line: "2%" and "2" are 0.02; below 0.05 the sign must be there."""
@@ -129,11 +125,6 @@ def memory(text):
     return value
 
 
-class _NotYet(argparse.Action):
-    def __call__(self, parser, namespace, values, option_string=None):
-        parser.error(f"{option_string}: {LATER[option_string]} cannot be asked for in this version")
-
-
 def add_scene_options(parser):
     """Options about the scene and the accuracy, which all commands share."""
     accuracy = parser.add_mutually_exclusive_group()
@@ -155,8 +146,6 @@ def add_scene_options(parser):
     parser.add_argument("--frame", type=int, metavar="N", help="take this frame")
     parser.add_argument("--scene", metavar="NAME", help="take this scene of the file")
     parser.add_argument("--quiet", action="store_true", help="no progress")
-    for option in LATER:
-        parser.add_argument(option, nargs="*", action=_NotYet, help=argparse.SUPPRESS)
 
 
 def make_options(arguments, **others):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from functools import partial
 from time import perf_counter
 
 import bpy
@@ -20,6 +21,7 @@ from .finished import finished, is_result, note, origin
 from .job import Job
 from .progress import Bar, summary
 from .scene_command import NO_SCENE, exit_code
+from .state_file import Origin, state_to_go_on, write_state
 
 
 def add(commands):
@@ -37,6 +39,11 @@ def add(commands):
     bake.add_argument("--schedule", choices=SCHEDULES, default="dynamic", help="how light is shot (default: dynamic)")
     bake.add_argument("--strict", action="store_true", help="fail if anything is wrong with the scene's data")
     bake.add_argument("--report", metavar="R.json", help="write a report; a folder for several scenes")
+    bake.add_argument(
+        "--state",
+        metavar="FILE",
+        help="go on from this file, and keep there what was traced; a folder for several scenes",
+    )
     bake.add_argument("--picture", metavar="P.png", help="write a picture of the result; a folder for several scenes")
     bake.add_argument(
         "--keep-going", action="store_true", help="of many files, skip those that were baked before and are unchanged"
@@ -106,6 +113,9 @@ def _bake_file(path, arguments, cells, start_seconds, several):
     )
     report = place_for(arguments.report, source, ".json", several)
     picture = place_for(arguments.picture, source, ".png", several)
+    kept = place_for(arguments.state, source, ".npz", several)
+    if kept and arguments.schedule == "paper":
+        raise Refused("--state: the paper's schedule keeps no rows to go on from; leave out one of the two")
     if arguments.target == "lightmap" and arguments.mesh == "subdivide":
         raise Refused("--mesh subdivide is for vertex colors: a lightmap needs no finer mesh; leave out one of the two")
     export = place_for(arguments.export, source, ".glb", several)
@@ -113,7 +123,7 @@ def _bake_file(path, arguments, cells, start_seconds, several):
         kind_of(export)
         if arguments.target == "lightmap":
             raise Refused("--export writes vertex colors: leave out --target lightmap")
-    for place in (output, report, picture, export):
+    for place in (output, report, picture, export, kept):
         check_writable(place)
     if path:
         open_file(source)
@@ -154,9 +164,11 @@ def _bake_file(path, arguments, cells, start_seconds, several):
         padding=arguments.padding,
         image=arguments.image,
     )
-    job = Job(context, options, cells, start_seconds)
+    state = state_to_go_on(kept, options) if kept else None
+    job = Job(context, options, cells, start_seconds, state=state)
+    keep = partial(_keep, kept, Origin(source, arguments.scene, arguments.frame, options)) if kept else None
     try:
-        stopped = _bake_until_stopped(job, arguments.quiet)
+        stopped, unkept = _bake_until_stopped(job, arguments.quiet, keep)
         job.write(context)
         if made_from and not stopped:
             note(made_from)
@@ -178,23 +190,48 @@ def _bake_file(path, arguments, cells, start_seconds, several):
         if bpy.app.version >= (5, 0, 0) > written_by:
             new = ".".join(map(str, bpy.app.version[:2]))
             print(f"{output} has the file format of Blender {new}: Blenders before 4.5 cannot open it", flush=True)
-        print(f"{os.path.basename(source)}: {summary(job.result)}; saved {output}", flush=True)
+        went_on = f" after what {kept} held" if state else ""
+        print(f"{os.path.basename(source)}: {summary(job.result)}{went_on}; saved {output}", flush=True)
+    if unkept:
+        raise Refused(f"{unkept}; {output} is complete")
     if stopped:
         raise KeyboardInterrupt
 
 
-def _bake_until_stopped(job, quiet):
-    """Bake to the end, or until Ctrl-C; then what there is becomes the result. Returns whether it was stopped."""
-    latest = None
+def _bake_until_stopped(job, quiet, keep):
+    """Bake to the end, or until Ctrl-C; then what there is becomes the result. Returns whether it was stopped, and why the
+    state could not be kept, or None. keep: see `_keep`; None keeps nothing."""
+    latest, state = None, None
     try:
         with Bar(quiet=quiet) as bar:
             for progress in job.bake():
-                latest = progress if progress.take else latest
+                latest, state = progress if progress.take else latest, progress.state or state
                 bar.show(progress)
     except KeyboardInterrupt:
+        unkept = keep and keep(state)
         so_far = job.so_far(latest)
         if so_far is None:
             raise
         job.keep(so_far)
-        return True
-    return False
+        return True, unkept
+    except Exception as problem:
+        if not keep or not state:
+            raise
+        unkept = keep(state)
+        if isinstance(problem, Refused):
+            raise
+        raise Refused(
+            f"{problem}; {unkept or 'what is finished is kept: the same command goes on from it'}"
+        ) from problem
+    return False, keep and keep(job.result.state)
+
+
+def _keep(path, origin, state):
+    """Keep in a file of that path the State that a function (or None) gives; returns why that failed, or None."""
+    if not state:
+        return None
+    try:
+        write_state(state(), path, origin)
+    except OSError as problem:
+        return f"cannot write {path}: {problem.strerror or problem}"
+    return None

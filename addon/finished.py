@@ -12,7 +12,19 @@ from .version import version
 
 NOTE = "cell_radiosity"  # the text in the output that holds it
 # Of a command line, what does not change the result.
-INDIFFERENT = ("run", "scenes", "output", "report", "picture", "quiet", "cells", "cluster", "allow_mixed", "keep_going")
+INDIFFERENT = (
+    "run",
+    "scenes",
+    "output",
+    "report",
+    "picture",
+    "quiet",
+    "cells",
+    "cluster",
+    "allow_mixed",
+    "keep_going",
+    "state",
+)
 
 
 def origin(source, arguments):

@@ -15,6 +15,7 @@ from ..core.health import mend
 from ..core.lights import emitting_polygons
 from ..core.report import make_report
 from ..core.settings import Settings
+from ..core.state import StateError
 from .errors import Refused
 from .outputs import grouping, layers_of, make_output
 from .read_scene import reading_scene
@@ -133,11 +134,12 @@ class Job:
     """A bake of a context's scene. Make it, drive `bake()` to its end, then call `write()`; `report()` tells all.
 
     Raises Refused, before any work, if there is nothing to bake or no place for the result. The window makes one with
-    `read=False` and takes the same way in steps: `reading()`, `bake()` in a thread, `writing()`.
+    `read=False` and takes the same way in steps: `reading()`, `bake()` in a thread, `writing()`. state: the core's State
+    of a bake to go on from.
     """
 
-    def __init__(self, context, options, cells=None, start_seconds=0.0, read=True):
-        self.options = options
+    def __init__(self, context, options, cells=None, start_seconds=0.0, read=True, state=None):
+        self.options, self._state = options, state
         self._owned = cells is None
         begun = perf_counter()
         self.cells = cells or make_cells(options.cells or default_cells())
@@ -178,9 +180,13 @@ class Job:
 
     def bake(self):
         """The core's bake: yields Progress."""
-        self.result = yield from bake(
-            self.scene, self.options.settings(self.scene.diagonal), self.cells, self.output.place, self._group_of
-        )
+        settings = self.options.settings(self.scene.diagonal)
+        try:
+            self.result = yield from bake(
+                self.scene, settings, self.cells, self.output.place, self._group_of, self._state
+            )
+        except StateError as problem:
+            raise Refused(f"the state file is not of this bake: {problem}") from None
         self.output.compute(self.result)
         found = self.result.survey
         findings = (*found.health, *self.output.findings)

@@ -11,15 +11,18 @@ from dataclasses import replace
 import bpy
 import numpy as np
 
-from ..core.atlas import NoUnwrapper, make_atlas, read_atlas
+from ..core.atlas import NoUnwrapper, make_atlas, read_atlas, unpacked_atlas
 from ..core.groups import make_groups
 from ..core.health import Finding
 from ..core.layers import PLAIN, layer_colors, luminance, texel_colors
-from ..core.lightmap import find_seams, look_up, make_images, make_texels
+from ..core.lightmap import Texels, find_seams, look_up, make_images, make_texels
 from ..core.lights import emitting_polygons
+from ..core.points import Points
 from ..core.raycast import RayCaster
-from ..core.remesh import triangulated
-from ..core.subdivide import Fitting, fit_mesh
+from ..core.records import from_arrays, to_arrays
+from ..core.remesh import Remesh, triangulated
+from ..core.state import ANEW
+from ..core.subdivide import Fitting, fit_mesh, remeshed
 from .errors import Refused
 from .images import image_path, make_image
 from .remesh import carry_groups, groups_of, make_mesh, piece_of
@@ -100,12 +103,14 @@ class FinerColors(VertexColors):
         super().__init__(options)
         self.place = self._place
 
-    def _place(self, scene, flipped, cells, light):
-        o = self.options
+    def _place(self, scene, flipped, cells, light, kept=None):
+        self._coarse, o = scene, self.options
+        if kept:
+            self.remesh = from_arrays(Remesh, "remesh", kept)
+            return remeshed(scene, self.remesh), from_arrays(Points, "points", kept), kept
         fitting = Fitting.for_scene(scene, o.max_edge, o.min_edge, o.contrast, o.vertices)
         finer, points, self.remesh = yield from fit_mesh(scene, fitting, flipped, cells, light)
-        self._coarse = scene
-        return finer, points
+        return finer, points, {**to_arrays("points", points), **to_arrays("remesh", self.remesh)}
 
     def preview(self, bake):
         """None: the finer meshes are shown when they are complete."""
@@ -186,10 +191,14 @@ class Lightmaps:
         layer.uv.foreach_get("vector", uv)
         self._uv[target.first : target.last] = uv.reshape(-1, 2)[target.corner]
 
-    def place(self, scene, flipped, cells, light):
+    def place(self, scene, flipped, cells, light, kept=None):
         """The texels of the scene's written objects, as `bake` asks for them."""
         yield from ()  # nothing to wait for
         o = self.options
+        if kept and self._uv is None:
+            self.atlas = unpacked_atlas("atlas", kept)
+            self._flipped = kept["flipped"]
+            return scene, from_arrays(Texels, "points", kept), kept
         layout = dict(density=o.texels_per_meter, size=o.size, together=o.atlas == "scene")
         try:
             if self._uv is None:
@@ -198,8 +207,13 @@ class Lightmaps:
                 self.atlas = read_atlas(scene, self._uv, **layout)
         except (NoUnwrapper, ValueError) as problem:
             raise Refused(str(problem)) from None
-        self._flipped = flipped
-        return scene, make_texels(scene, self.atlas, flipped, cells)
+        if kept:
+            if not np.array_equal(self.atlas.place, kept["atlas.place"]):
+                raise Refused(f"the UV map {o.uv!r} is not what it was in the state file: {ANEW}")
+            self._flipped = kept["flipped"]
+            return scene, from_arrays(Texels, "points", kept), kept
+        self._flipped, texels = flipped, make_texels(scene, self.atlas, flipped, cells)
+        return scene, texels, {**to_arrays("points", texels), **to_arrays("atlas", self.atlas), "flipped": flipped}
 
     def compute(self, result):
         """Make the images of a Bake."""

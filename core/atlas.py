@@ -15,6 +15,7 @@ import numpy as np
 
 from .graphs import components, linked
 from .points import group_corners
+from .records import from_arrays
 from .vectors import TINY, counted, dot, unit
 
 LARGEST = 16384  # texels along an image's side
@@ -104,6 +105,18 @@ def read_atlas(scene, corner_uv, density=16.0, size=None, together=False):
     place = uv * sizes[owner][:, None]
     atlas = _checked(scene, Atlas(names, sizes, triangle, owner, chart, place, False))
     return replace(atlas, seconds=perf_counter() - begun)
+
+
+def unpacked_atlas(prefix, arrays):
+    """The Atlas that `records.to_arrays` packed."""
+    atlas = from_arrays(Atlas, prefix, arrays)
+    return replace(
+        atlas,
+        names=tuple(map(str, atlas.names)),
+        unwrapped=bool(atlas.unwrapped),
+        seconds=float(atlas.seconds),
+        findings=tuple(tuple(map(str, finding)) for finding in atlas.findings),
+    )
 
 
 def corner_uv_keys(scene, corner, uv):

@@ -233,11 +233,6 @@ def test_ctrl_c_ends_with_130_and_keeps_what_is_there(scene):
     assert not [state for state in left.split() if not state.startswith("Z")]
 
 
-def test_options_that_are_not_there_yet_are_refused(scene, capfd):
-    assert main(["bake", str(scene), "--state", "x"]) == 2
-    assert "--state" in capfd.readouterr().err
-
-
 def test_the_same_bits_again_and_with_other_cells(scene):
     layers = []
     for cells in ("1", "2", "3"):

@@ -243,6 +243,29 @@ def test_other_ways_to_bake(tmp_path, cells, more, groups):
             assert np.array_equal(result.by_group.indirect, expected.by_group.indirect)
 
 
+def test_objects_one_by_one(tmp_path):
+    """Replicates at the points of some objects are carried on, too; and control points of each object are drawn where they
+    were not, without a sample of the former ones."""
+    settings = Settings.for_error(0.02, per_object=True)
+    cells = Counting()
+    expected = run(bake(room(), settings, cells))
+    some = [k for k, r in enumerate(expected.state().gathered.replicates) if not r.asked.all()]
+    assert some
+    first, second = Counting(), Counting()
+    progress = broken(room(), settings, first, lambda p: p.phase == "gather" and p.error and p.done < 0.8 and len(p.state().gathered.replicates) > some[0])  # fmt: skip
+    result = run(bake(room(), settings, second, state=through(tmp_path / "s", progress.state())))
+    assert same(result, expected)
+    assert not first.traced & second.traced
+    assert first.traced + second.traced == cells.traced
+
+    first, second = Counting(), Counting()
+    state = through(tmp_path / "s", run(bake(room(), Settings.for_error(0.02), first)).state())
+    result = run(bake(room(), settings, second, state=state))
+    assert not first.traced & second.traced
+    assert len(result.state().control[0]) > 0
+    assert result.estimate.worst()[1] <= 0.02
+
+
 @pytest.fixture(scope="module")
 def finished():
     return run(bake(room(), Settings(), LocalCells())).state()
