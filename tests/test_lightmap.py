@@ -29,9 +29,9 @@ def round_ball(place=(0, 0, 0), radius=0.4, splits=3):
 def bake_map(scene, atlas, cells, **settings):
     """The Bake of a scene at the texels of an atlas, which are its points."""
 
-    def place(scene, flipped, cells, light):
+    def place(scene, flipped, cells, light, kept):
         yield from ()
-        return scene, make_texels(scene, atlas, flipped, cells)
+        return scene, make_texels(scene, atlas, flipped, cells), {}
 
     return run(bake(scene, Settings(**settings), cells, place))
 

@@ -93,9 +93,9 @@ def shadow_scene():
 def fitted(scene, fitting, cells):
     """The finer Scene and (C,) its light, baked."""
 
-    def place(scene, flipped, cells, light):
+    def place(scene, flipped, cells, light, kept):
         finer, points, _ = yield from fit_mesh(scene, fitting, flipped, cells, light)
-        return finer, points
+        return finer, points, {}
 
     baked = run(bake(scene, Settings(gather_rays=16), cells, place))
     light = np.zeros(len(baked.scene.corner_vertex))
@@ -158,13 +158,13 @@ def test_no_point_is_asked_for_twice(cells):
     scene, _ = shadow_scene()
     asked = []
 
-    def place(scene, flipped, cells, light):
+    def place(scene, flipped, cells, light, kept):
         def counting(points):
             asked.append(points.position)
             return (yield from light(points))
 
         finer, points, _ = yield from fit_mesh(scene, Fitting(0.7, 0.05, passes=8), flipped, cells, counting)
-        return finer, points
+        return finer, points, {}
 
     baked = run(bake(scene, Settings(gather_rays=16), cells, place))
     assert len(asked) > 3
