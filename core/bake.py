@@ -616,15 +616,18 @@ class _Clock:
     def watch(self, generator):
         """Yield what a generator yields and return what it returns; `watched` are the CPU seconds of this thread in it,
         without those of cells that work here."""
-        while True:
-            begun, here = thread_time(), self._cells.usage.here
-            try:
-                item = next(generator)
-            except StopIteration as end:
-                return end.value
-            finally:
-                self.watched += thread_time() - begun - (self._cells.usage.here - here)
-            yield item
+        try:
+            while True:
+                begun, here = thread_time(), self._cells.usage.here
+                try:
+                    item = next(generator)
+                except StopIteration as end:
+                    return end.value
+                finally:
+                    self.watched += thread_time() - begun - (self._cells.usage.here - here)
+                yield item
+        finally:
+            generator.close()
 
     def lap(self, phase):
         """Add the time since the last lap to a phase."""
