@@ -320,8 +320,9 @@ class _Course:
             return
         if self.control.under_way:
             yield from _each(self.control.complete(), self._of_control)
-        if not self.control.rays:
-            yield from _each(self.control.trace(_control_rays(self.settings)), self._of_control)
+        short = _control_rays(self.settings) - self.control.rays
+        if short > 0:
+            yield from _each(self.control.trace(short), self._of_control)
         self._estimate()
         # More rays where the control itself is in doubt, as long as they help; above all before rays are spent at all
         # points against what may be chance.
