@@ -76,6 +76,20 @@ def channel(text):
     return name, letter.upper()
 
 
+def change(text):
+    """A change of a light's strength: "NAME=FACTOR" or "NAME=R,G,B", as (name, (r, g, b))."""
+    name, _, factors = text.rpartition("=")
+    try:
+        values = tuple(float(part) for part in factors.split(","))
+    except ValueError:
+        values = ()
+    if not name or len(values) not in (1, 3) or not all(0 <= value < float("inf") for value in values):
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not a name and one or three factors, like Lamp=2 or Lamp=1,0.5,0"
+        )
+    return name, values * (3 // len(values))
+
+
 def positive(text):
     """A number above 0."""
     try:

@@ -10,10 +10,10 @@ import argparse
 import signal
 import sys
 
-from . import command_bake, command_cells, command_effects, command_export, command_price
+from . import command_bake, command_cells, command_effects, command_export, command_price, command_relight
 from .version import version
 
-COMMANDS = (command_bake, command_cells, command_effects, command_export, command_price)
+COMMANDS = (command_bake, command_cells, command_effects, command_export, command_price, command_relight)
 
 
 def main(argv):

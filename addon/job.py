@@ -8,7 +8,7 @@ from fnmatch import fnmatchcase
 from math import inf
 from time import perf_counter
 
-from ..core.bake import Progress, bake, price, run
+from ..core.bake import Progress, bake, price, relit, restored, run
 from ..core.cells import make_cells
 from ..core.effects import survey
 from ..core.health import mend
@@ -17,7 +17,7 @@ from ..core.report import make_report
 from ..core.settings import Settings
 from ..core.state import StateError
 from .errors import Refused
-from .outputs import grouping, layers_of, make_output
+from .outputs import found_layers, grouping, make_output
 from .read_scene import reading_scene
 from .steps import aside
 from .version import version
@@ -186,7 +186,7 @@ class Job:
                 self.scene, settings, self.cells, self.output.place, self._group_of, self._state
             )
         except StateError as problem:
-            raise Refused(f"the state file is not of this bake: {problem}") from None
+            raise Refused(f"the state file: {problem}") from None
         self.output.compute(self.result)
         found = self.result.survey
         findings = (*found.health, *self.output.findings)
@@ -226,8 +226,21 @@ class Job:
         self._write_seconds = perf_counter() - begun
 
     def so_far(self, progress):
-        """The core's Bake as a Progress has it, whose light is still coming; None before there is any."""
-        return progress.take() if progress and progress.take else None
+        """The core's Bake as a Progress has it, whose light is still coming; None before there is any to write."""
+        bake = progress.take() if progress and progress.take else None
+        return bake if bake and found_layers(self.options, bake) else None
+
+    def relight(self, factors):
+        """Take what the State that the job was made with has found for the result, with the strengths of its light groups
+        times factors (G, 3)."""
+        try:
+            baked = run(restored(self.scene, self._state, self.output.place))
+        except StateError as problem:
+            raise Refused(f"the state file: {problem}") from None
+        baked = relit(baked, factors)
+        if not found_layers(self.options, baked):
+            raise Refused(f"none of its layers ({', '.join(self.options.layers)}) can be made anew")
+        self.keep(baked)
 
     def keep(self, bake):
         """Take a Bake that ended early for the result."""
@@ -241,7 +254,7 @@ class Job:
     def report(self, scene):
         """The report of the bake. scene: the file it came from."""
         return make_report(
-            self.result, scene=scene, version=version(), layers=[name for name, _, _ in layers_of(self.options, self.result.groups)],
+            self.result, scene=scene, version=version(), layers=[name for name, _, _ in found_layers(self.options, self.result)],
             domain=self.output.domain,
             start=self._start, read=self._read_seconds, write=self._write_seconds,
             lightmaps=self.output.lightmaps,

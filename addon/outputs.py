@@ -57,7 +57,7 @@ class VertexColors:
 
     def compute(self, result):
         """Make the layers' colors of a Bake."""
-        layers = layers_of(self.options, result.groups)
+        layers = found_layers(self.options, result)
         colors = {name: layer_colors(result, layer, group) for name, layer, group in layers}
         first = next(iter(colors.values()))
         self.exposure = exposure_of(self.options, first[result.points.corner])
@@ -71,9 +71,9 @@ class VertexColors:
         self.colors = colors
 
     def preview(self, bake):
-        """What `painting` shows of a Bake whose light is still coming: the first layer, as it stands."""
-        layer = self.options.layers[0]
-        return {layer: layer_colors(bake, layer)}
+        """What `painting` shows of a Bake whose light is still coming: the first layer, as it stands; None without any."""
+        for name, layer, group in found_layers(self.options, bake)[:1]:
+            return {name: layer_colors(bake, layer, group)}
 
     def painting(self, context, targets, preview):
         """Show a `preview`, in steps."""
@@ -220,9 +220,9 @@ class Lightmaps:
         scene, atlas, texels = result.scene, self.atlas, result.points
         caster = RayCaster(scene.vertices, scene.triangles, scene.usable)
         self.seams = find_seams(scene, atlas, self._flipped, caster)
-        layers = layers_of(self.options, result.groups)
+        layers = found_layers(self.options, result)
         self.images = {name: self._make(layer, result, group) for name, layer, group in layers}
-        self.exposure = exposure_of(self.options, texel_colors(result, atlas, self.options.layers[0]))
+        self.exposure = exposure_of(self.options, texel_colors(result, atlas, *layers[0][1:]))
         self.scene = scene
         self.findings = tuple(Finding(*f) for f in atlas.findings)
         count = np.bincount(texels.image, minlength=len(atlas.names))
@@ -282,7 +282,7 @@ class Lightmaps:
                 copy = self._copy(context.scene, target, source, remesh)
             number = self._image_of(target)
             if number is not None:
-                show(copy, (images[self.options.layers[0], number], self.name))
+                show(copy, (images[next(iter(self.images)), number], self.name))
         forget_others([*images.values(), *copies])
         return tuple(findings)
 
@@ -316,6 +316,13 @@ def layers_of(options, groups):
         return whole
     lit = [layer for layer in options.layers if layer not in PLAIN]
     return whole + [(f"{layer}_{name}", layer, g) for layer in lit for g, name in enumerate(groups.names)]
+
+
+def found_layers(options, bake):
+    """Those of `layers_of` that a Bake has found what they show of: one that ended early may lack openness, and of one that
+    was lit anew nobody knows how far it is off."""
+    missing = {"Occlusion": bake.openness is None, "RadiosityError": bake.factors is not None}
+    return [each for each in layers_of(options, bake.groups) if not missing.get(each[1])]
 
 
 def groups_of_scene(context, scene, options):

@@ -26,6 +26,10 @@ class Origin:
     frame: int | None
     options: Options
 
+    def options_for(self, output):
+        """The Options, for another output file."""
+        return replace(self.options, output=output)
+
 
 def read_state(path):
     """The core's State in a file, and its Origin. Raises Refused if it cannot be used."""

@@ -17,7 +17,7 @@ from .control import Control, Traced, draw_control
 from .costs import with_costs
 from .effects import Survey, simplified, survey
 from .gather import Gathering, Light, light_arrays, patch_light, sides_of
-from .groups import Groups, make_groups, weighted
+from .groups import Groups, make_groups, scaled, weighted
 from .health import Finding, mend
 from .host import Solution, solve
 from .kernel import cast_arrays, transport_arrays
@@ -76,7 +76,8 @@ class Bake:
     """A finished bake, or one as it stands: every record of its path, seconds by phase, CPU seconds, and what the cells
     used. estimate: of its error. converged: the error asked for was reached. floor: it was reached by the cheapest way.
     price: tuple of Price, after the pilot. groups: light groups, if they were asked for, and by_group: a Light with a channel for each group's. openness: (P,) 1
-    less ambient occlusion, if it was asked for. state(): the State, to carry it on from."""
+    less ambient occlusion, if it was asked for. factors: (G, 3) by which the groups' strengths were changed, None for
+    none. state(): the State, to carry it on from."""
 
     scene: Scene
     settings: Settings
@@ -95,6 +96,7 @@ class Bake:
     groups: Groups | None = None
     by_group: Light | None = None
     openness: np.ndarray | None = None
+    factors: np.ndarray | None = None
     state: Callable | None = field(default=None, repr=False, compare=False)
 
 
@@ -150,6 +152,15 @@ def restored(scene, state, place=None):
     course.lay()
     yield from course.take_up()
     return course.result()
+
+
+def relit(baked, factors):
+    """A Bake with light groups as it would be with their strengths times factors (G, 3), as nearly as it is now: a weighted
+    sum, without a ray. How far it is off is not known."""
+    by_group = scaled(baked.by_group, baked.groups, factors)
+    unknown = dict(variance=np.zeros_like(by_group.variance), blurred=np.zeros_like(by_group.blurred))
+    light = replace(weighted(by_group, baked.groups), **unknown)
+    return replace(baked, light=light, by_group=by_group, factors=np.asarray(factors, float), estimate=None, price=())
 
 
 class _Course:

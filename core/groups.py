@@ -73,14 +73,15 @@ def one_group(light, groups, number):
 
 def weighted(light, groups, factors=None):
     """The Light of all groups together, or with factors (G, 3) of their strength."""
-    if factors is None:
-        return replace(light, **{k: _by_group(v, groups).sum(axis=0) for k, v in _channels(light)})
-    factors = np.asarray(factors, float)
-    sums = {}
-    for name, values in _channels(light):
-        by_group = _by_group(values, groups)
-        sums[name] = sum(factors[g][:, None] * by_group[g] for g in range(len(by_group)))
-    return replace(light, **sums)
+    if factors is not None:
+        light = scaled(light, groups, factors)
+    return replace(light, **{k: _by_group(v, groups).sum(axis=0) for k, v in _channels(light)})
+
+
+def scaled(light, groups, factors):
+    """A Light with channels for each group, each group's times factors (G, 3) of its strength."""
+    factors, count = np.asarray(factors, float)[:, :, None], light.direct.shape[1]
+    return replace(light, **{k: (factors * _by_group(v, groups)).reshape(-1, count) for k, v in _channels(light)})
 
 
 def _channels(light):

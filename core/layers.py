@@ -31,7 +31,7 @@ def layer_colors(bake, layer, group=None):
     if layer == "Radiosity":
         reflectance, exitance = corner_surfaces(scene, points.corner)
         glows = _glowing(bake, group)[points.object[points.corner_point]]
-        colors[points.corner] = exitance * glows[:, None] + reflectance * colors[points.corner]
+        colors[points.corner] = exitance * glows + reflectance * colors[points.corner]
     return colors / np.pi
 
 
@@ -45,7 +45,7 @@ def texel_colors(bake, atlas, layer, group=None):
     colors = np.broadcast_to(_arriving(_light_of(bake, group), layer).T, (len(bake.points), 3))
     if layer == "Radiosity":
         reflectance, exitance = place_surfaces(bake.scene, atlas.triangle[bake.points.row], bake.points.weight)
-        colors = exitance * _glowing(bake, group)[bake.points.object][:, None] + reflectance * colors
+        colors = exitance * _glowing(bake, group)[bake.points.object] + reflectance * colors
     return colors / np.pi
 
 
@@ -60,10 +60,12 @@ def _light_of(bake, group):
 
 
 def _glowing(bake, group):
-    """(O,) bool: whether what an object emits belongs to a group."""
-    if group is None:
-        return np.ones(len(bake.scene.objects), bool)
-    return bake.groups.object == group
+    """(O, 3) how many times what an object emits counts in the light of a group (None: of all)."""
+    glows = np.ones((len(bake.scene.objects), 3))
+    if bake.factors is not None:
+        lit = bake.groups.object >= 0
+        glows[lit] = bake.factors[bake.groups.object[lit]]
+    return glows if group is None else glows * (bake.groups.object == group)[:, None]
 
 
 def _arriving(light, layer):

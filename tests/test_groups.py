@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from cell_radiosity.core.bake import bake, run
+from cell_radiosity.core.bake import bake, relit, restored, run
 from cell_radiosity.core.groups import one_group, weighted
 from cell_radiosity.core.layers import layer_colors
 from cell_radiosity.core.settings import Settings
+from cell_radiosity.core.state import load_state, save_state
 
 from scenes import Lamp, Material, World, box, join_meshes, sheet
 
@@ -65,6 +66,54 @@ def test_relit_is_baked_anew(cells):
     anew = baked(scene(lamps, 3.0, 0.0), cells).light
     error = relit.direct + relit.indirect - anew.direct - anew.indirect
     assert np.sqrt((error**2).mean() / ((anew.direct + anew.indirect) ** 2).mean()) < 0.03
+
+
+def test_a_state_is_relit_without_a_ray(cells, tmp_path):
+    """Lamps, glowing faces and the sky, in every layer: as a bake of lights of other strength and color."""
+    by_name = dict(group_of=lambda name: name)
+    settings = Settings(error=1e-4, gather_rays=48)
+    save_state(run(bake(scene(), settings, cells, **by_name)).state(), tmp_path / "s")
+    before = run(restored(scene(), load_state(tmp_path / "s")))
+    factors = np.array([[0.5, 0.5, 0.5], [2.0, 1.0, 0.0], [3.0, 2.0, 1.0], [0.0, 0.0, 0.0]])
+    found = relit(before, factors)
+    lamps = tuple(replace(lamp, strength=tuple(f * np.array(lamp.strength))) for lamp, f in zip(LAMPS, factors))
+    other = scene(lamps, 1.0, 0.0)
+    glow = replace(other.materials[1], exitance=tuple(factors[2] * other.materials[1].exitance))
+    anew = run(bake(replace(other, materials=(other.materials[0], glow)), settings, cells, **by_name))
+    for layer in ("Radiosity", "Lighting", "Direct", "Indirect"):
+        a, b = layer_colors(found, layer), layer_colors(anew, layer)
+        assert np.sqrt(((a - b) ** 2).mean() / (b**2).mean()) < 0.03, layer
+        parts = [layer_colors(found, layer, g) for g in range(4)]
+        np.testing.assert_allclose(sum(parts), a, rtol=1e-9, atol=1e-12)
+        assert not parts[3].any()
+    assert found.estimate is None
+    # What glows shows it: exactly as bright as it was made.
+    np.testing.assert_allclose(
+        layer_colors(found, "Radiosity", 2).max(axis=0), layer_colors(anew, "Radiosity", 2).max(axis=0), rtol=0.02
+    )
+
+
+def test_a_factor_of_all_groups_is_a_factor(cells):
+    grouped = baked(scene(), cells, group_of=lambda name: name)
+    for layer in ("Radiosity", "Direct", "Indirect"):
+        whole = layer_colors(grouped, layer)
+        assert np.array_equal(layer_colors(relit(grouped, np.full((4, 3), 1.0)), layer), whole)
+        assert np.array_equal(layer_colors(relit(grouped, np.full((4, 3), 4.0)), layer), 4 * whole)
+        np.testing.assert_allclose(layer_colors(relit(grouped, np.full((4, 3), 0.3)), layer), 0.3 * whole, rtol=1e-12)
+
+
+def test_a_gray_scene_is_relit_in_color(cells):
+    """One channel was enough for the bake; it is not for what comes of it."""
+    gray = join_meshes(
+        [box("room", n=4)], lamps=(replace(LAMPS[0], strength=(5, 5, 5)), replace(LAMPS[1], strength=(7, 7, 7)))
+    )
+    grouped = baked(gray, cells, group_of=lambda name: name)
+    assert len(grouped.light.direct) == 1
+    found = relit(grouped, [[1, 0, 0], [0, 0, 2]])
+    warm, cold = (layer_colors(grouped, "Lighting", g)[:, 0] for g in range(2))
+    np.testing.assert_allclose(
+        layer_colors(found, "Lighting"), np.stack([warm, 0 * warm, 2 * cold], axis=1), rtol=1e-12
+    )
 
 
 def test_groups_of_several(cells):

@@ -209,3 +209,149 @@ def test_several_scenes_keep_their_states_in_a_folder(scene, capfd):
     for _ in range(2):
         assert main(["bake", str(scene), str(other), "--state", str(folder), "--quiet", "--error", "10%"]) == 0
     assert {p.name for p in folder.iterdir()} == {"room.npz", "other.npz"}
+
+
+@pytest.fixture
+def two_lamps(scene):
+    """The scene with lamps in a collection of their own."""
+    evening = bpy.data.collections.new("evening")
+    bpy.context.scene.collection.children.link(evening)
+    for name, place in (("left", (-0.5, 0.5, 1)), ("right", (0.3, -0.5, 1.5))):
+        made = lamp("POINT", 20.0, location=place, shadow_soft_size=0.05)
+        made.name = name
+        bpy.context.scene.collection.objects.unlink(made)
+        evening.objects.link(made)
+    bpy.ops.wm.save_mainfile()
+    return scene
+
+
+def layers(path):
+    bpy.ops.wm.open_mainfile(filepath=str(path))
+    meshes = [o for o in bpy.data.objects if o.type == "MESH"]
+    found = {f"{o.name}.{c.name}": colors(o.data, c.name) for o in meshes for c in o.data.color_attributes}
+    images = [i for i in bpy.data.images if i.get("cell_radiosity")]
+    return found | {i.name: np.array(i.pixels[:]).reshape(-1, 4)[:, :3] for i in images}
+
+
+def near(a, b, share):
+    assert a.keys() == b.keys()
+    off, all_ = (np.sqrt(sum((x**2).sum() for x in values)) for values in ([a[k] - b[k] for k in a], b.values()))
+    return off < share * all_
+
+
+def changed(scene, **energies):
+    """A copy of a scene file with lamps of other energy and color."""
+    bpy.ops.wm.open_mainfile(filepath=str(scene))
+    for name, (factor, color) in energies.items():
+        bpy.data.objects[name].data.energy *= factor
+        bpy.data.objects[name].data.color = color
+    path = scene.with_name("changed.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    return path
+
+
+TARGETS = [
+    (),
+    ("--target", "lightmap", "--texels-per-meter", "10"),
+    ("--mesh", "subdivide", "--max-edge", "0.3", "--min-edge", "0.1"),
+]
+
+
+@pytest.mark.parametrize("target", TARGETS, ids=["vertex", "lightmap", "subdivide"])
+def test_relight_by_lamp(two_lamps, monkeypatch, capfd, target):
+    """As a bake of lamps that were changed, within noise; no ray is cast for it."""
+    folder = two_lamps.parent
+    options = (
+        "--groups",
+        "lamp",
+        "--error",
+        "1%",
+        "--quiet",
+        *(() if "subdivide" in target else ("--layers", "Radiosity,Lighting,Occlusion")),
+        *target,
+    )
+    out = folder / "lit.blend"
+    assert main(["bake", str(two_lamps), "-o", str(out), "--state", str(folder / "s"), *options]) == 0
+    base = layers(out)
+    with monkeypatch.context() as patch:
+        patch.setattr(LocalCells, "submit", lambda *_, **__: pytest.fail("a task was asked for"))
+        relit = folder / "relit.blend"
+        assert main(["relight", str(folder / "s"), "-o", str(relit), "--set", "left=3", "--set", "right=0,0.5,1"]) == 0
+        assert "left times 3, right times 0,0.5,1; no ray was cast" in capfd.readouterr().out
+        same = folder / "same.blend"
+        assert main(["relight", str(folder / "s"), "-o", str(same), "--quiet"]) == 0
+        double = folder / "double.blend"
+        assert (
+            main(
+                [
+                    "relight",
+                    str(folder / "s"),
+                    "-o",
+                    str(double),
+                    "--quiet",
+                    *(w for n in ("left", "right", "POINT") for w in ("--set", f"{n}=2")),
+                ]
+            )
+            == 0
+        )
+    assert equal(layers(same), base)
+    light = [k for k in base if "Occlusion" not in k]
+    twice = layers(double)
+    assert all(np.array_equal(twice[k], 2 * base[k] if k in light else base[k]) for k in base)
+    if "subdivide" in target:  # other light, other vertices
+        return
+    anew = folder / "anew.blend"
+    other = changed(two_lamps, left=(3, (1, 1, 1)), right=(1, (0, 0.5, 1)))
+    assert main(["bake", str(other), "-o", str(anew), *options]) == 0
+    assert near(layers(relit), layers(anew), 0.02)
+    assert not near(base, layers(anew), 0.1)
+
+
+def test_relight_by_collection(two_lamps):
+    folder = two_lamps.parent
+    options = ("--groups", "collection", "--error", "1%", "--quiet")
+    assert main(["bake", str(two_lamps), "-o", str(folder / "lit.blend"), "--state", str(folder / "s"), *options]) == 0
+    assert (
+        main(["relight", str(folder / "s"), "-o", str(folder / "relit.blend"), "--set", "evening=1,0.5,0.2", "--quiet"])
+        == 0
+    )
+    relit = layers(folder / "relit.blend")
+    assert "floor.Lighting_evening" in relit
+    other = changed(two_lamps, left=(1, (1, 0.5, 0.2)), right=(1, (1, 0.5, 0.2)))
+    assert main(["bake", str(other), "-o", str(folder / "anew.blend"), *options]) == 0
+    assert near(relit, layers(folder / "anew.blend"), 0.02)
+
+
+def test_relight_says_what_is_wrong(two_lamps, capfd):
+    folder, out = two_lamps.parent, two_lamps.with_name("relit.blend")
+
+    def said(*arguments):
+        capfd.readouterr()
+        code = main(["relight", *map(str, arguments), "-o", str(out)])
+        return code, capfd.readouterr().err.strip().splitlines()[-1]
+
+    assert main(["bake", str(two_lamps), "--state", str(folder / "plain"), "--quiet"]) == 0
+    code, line = said(folder / "plain", "--set", "left=2")
+    assert code == 1
+    assert "without light groups: bake with --groups lamp (or collection)" in line
+    state = folder / "s"
+    assert (
+        main(
+            ["bake", str(two_lamps), "--state", str(state), "--groups", "lamp", "--quiet", "--layers", "RadiosityError"]
+        )
+        == 0
+    )
+    assert "none of its layers (RadiosityError) can be made anew" in said(state)[1]
+    assert main(["bake", str(two_lamps), "--state", str(state), "--groups", "lamp", "--quiet"]) == 0
+    assert "there is no light group 'Left'; there are left, right, POINT" in said(state, "--set", "Left=2")[1]
+    for wrong in ("left", "left=", "left=1,2", "left=-1", "left=x", "=2", "left=nan"):
+        assert said(state, "--set", wrong)[0] == 2
+    assert "cannot read" in said(folder / "none")[1]
+    moved = two_lamps.rename(folder / "moved.blend")
+    assert "name its .blend file after the state" in said(state)[1]
+    capfd.readouterr()
+    assert main(["relight", str(state), str(moved), "-o", str(out), "--quiet"]) == 0
+    bpy.ops.wm.open_mainfile(filepath=str(moved))
+    bpy.data.materials["red"].node_tree.nodes["Diffuse BSDF"].inputs["Color"].default_value = (0.1, 0.8, 0.1, 1)
+    bpy.ops.wm.save_mainfile()
+    assert "the reflectance has changed: wall is not what it was" in said(state, moved)[1]
