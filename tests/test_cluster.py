@@ -10,11 +10,14 @@ import sys
 import time
 
 import dask
+import numpy as np
 import pytest
 from test_cells import BUSY, alive, expected_busy, furnished, same
+from test_state import Counted, Counting
 
 from cell_radiosity.cluster import cells as cluster_cells
 from cell_radiosity.cluster.cells import ClusterError, connect
+from cell_radiosity.core.state import load_state, save_state
 
 from scenes import bake, run
 
@@ -165,12 +168,9 @@ def start(tmp_path, *words):
                             stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("victim", "words"), [("scheduler", "scheduler of the cluster is gone"), ("worker", "no worker")]
-)
-def test_a_cluster_that_is_lost(tmp_path, monkeypatch, victim, words):
-    """kill -9 of the scheduler, or of all workers with none to come: one clear line, in time."""
-    monkeypatch.setattr(cluster_cells, "WAIT", 4.0)
+@pytest.fixture
+def lonely(tmp_path):
+    """A cluster of a scheduler and one worker: its address, and {what: process}."""
     file = tmp_path / "scheduler.json"
     processes = {
         "scheduler": start(tmp_path, "dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard",
@@ -183,17 +183,79 @@ def test_a_cluster_that_is_lost(tmp_path, monkeypatch, victim, words):
         while not file.exists() or not file.read_text().strip():
             assert time.monotonic() < deadline
             time.sleep(0.1)
-        monkeypatch.setattr(cluster_cells, "WAIT", 30.0)
-        with connect(json.loads(file.read_text())["address"]) as cells:
-            monkeypatch.setattr(cluster_cells, "WAIT", 4.0)
-            show, struck = once("transport", processes[victim].kill)
-            with pytest.raises(ClusterError, match=words):
-                run(bake(furnished(12), BUSY, cells), show)
-            assert struck
+        yield json.loads(file.read_text())["address"], processes
     finally:
         for process in processes.values():
             process.kill()
             process.wait()
+
+
+LOST = [("scheduler", "scheduler of the cluster is gone"), ("worker", "no worker")]
+
+
+class CountedDask(Counted, cluster_cells.DaskCells):
+    """Cells on a cluster that know what they have traced."""
+
+
+@pytest.mark.parametrize("phase", ["transport", "gather"])
+@pytest.mark.parametrize(("victim", "words"), LOST)
+def test_a_cluster_that_is_lost(lonely, tmp_path, monkeypatch, expected_busy, victim, words, phase):
+    """kill -9 of the scheduler, or of all workers with none to come: one clear line, in time. What was traced is carried on
+    elsewhere, to the same bits, and nothing is traced twice."""
+    address, processes = lonely
+    monkeypatch.setattr(cluster_cells, "DaskCells", CountedDask)
+    with connect(address) as cells:
+        monkeypatch.setattr(cluster_cells, "WAIT", 4.0)
+        strike, struck = once(phase, processes[victim].kill)
+        seen = []
+        with pytest.raises(ClusterError, match=words):
+            run(bake(furnished(12), BUSY, cells), lambda progress: (seen.append(progress), strike(progress)))
+        assert struck
+        save_state(seen[-1].state(), tmp_path / "state")
+    here = Counting()
+    result = run(bake(furnished(12), BUSY, here, state=load_state(tmp_path / "state")))
+    assert same(result, expected_busy)
+    assert not cells.traced & here.traced
+    assert here.traced
+    whole = Counting()
+    run(bake(furnished(12), BUSY, whole))
+    assert cells.traced + here.traced == whole.traced
+
+
+@pytest.mark.parametrize(("victim", "words"), LOST)
+def test_a_command_whose_cluster_is_lost(lonely, tmp_path, monkeypatch, capfd, victim, words):
+    """Exit 1 with a line that says that what is finished is kept; the same command goes on from it, without a cluster."""
+    bpy = pytest.importorskip("bpy")
+    from cell_radiosity.addon.command import main
+    from cell_radiosity.addon.progress import Bar
+
+    from blender_scenes import colors, empty, lamp, plane
+
+    empty()
+    plane("floor", n=60)
+    plane("table", n=8, size=0.5, location=(0, 0, 0.4))
+    lamp("POINT", 30.0, location=(-0.3, 0.2, 1.2), shadow_soft_size=0.1)
+    scene = tmp_path / "room.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(scene))
+    address, processes = lonely
+    monkeypatch.setattr(cluster_cells, "WAIT", 4.0 if victim == "worker" else 30.0)
+    strike, struck = once("gather", processes[victim].kill)
+    command = ["bake", str(scene), "--state", str(tmp_path / "s"), "--error", "0.3%", "--quiet"]
+    capfd.readouterr()
+    with monkeypatch.context() as patch:
+        patch.setattr(Bar, "show", lambda self, progress: strike(progress))
+        assert main([*command, "--cluster", address]) == 1
+    assert struck
+    lines = [line for line in capfd.readouterr().err.splitlines() if line.startswith("radiosity: ")]
+    assert len(lines) == 1
+    assert words in lines[0]
+    assert "what is finished is kept: the same command goes on from it" in lines[0]
+    found = []
+    for rest in (["--report", str(tmp_path / "r.json")], ["--state", str(tmp_path / "other")]):
+        assert main([*command, *rest]) == 0
+        bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "room_radiosity.blend"))
+        found.append(colors(bpy.data.objects["floor"].data, "Radiosity"))
+    assert np.array_equal(*found)
 
 
 @pytest.mark.parametrize("command", ["price", "cells"])

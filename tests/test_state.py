@@ -30,11 +30,11 @@ def room(materials=MATERIALS, lamps=(LAMP,), high=0.45):
     return join_meshes([box("room", n=8, faces="xXyYz"), block, panel], materials, lamps, World((0.2, 0.3, 0.5)))
 
 
-class Counting(LocalCells):
-    """Cells that know what they have traced: {(task, seed, side or point): how often}."""
+class Counted:
+    """Of cells that know what they have traced: {(task, seed, side or point): how often}."""
 
-    def __init__(self):
-        super().__init__()
+    def __init__(self, *arguments):
+        super().__init__(*arguments)
         self.traced, self._told = Counter(), {}
 
     def submit(self, name, **arguments):
@@ -62,6 +62,10 @@ class Counting(LocalCells):
         )
         own = [(name, *seed, int(k)) for k in items]
         self.traced.update(own or [(name, str({k: np.asarray(v).tobytes() for k, v in told.items()}))])
+
+
+class Counting(Counted, LocalCells):
+    """Such cells in this process."""
 
 
 def through(path, state):
