@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from dataclasses import replace
 from functools import partial
 from time import perf_counter
 
@@ -223,7 +224,9 @@ def _bake_until_stopped(job, quiet, keep):
         raise Refused(
             f"{problem}; {unkept or 'what is finished is kept: the same command goes on from it'}"
         ) from problem
-    return False, keep and keep(job.result.state)
+    unkept = keep and keep(job.result.state)
+    job.result = replace(job.result, state=None)  # what only a state needs is in the way of what is written
+    return False, unkept
 
 
 def _keep(path, origin, state):

@@ -67,7 +67,7 @@ class Light:
 class Replicate:
     """One independent sample of the light, by so many rays at each of the points that are asked, (P,) bool: weight (P,), 0
     where it was not taken (yet), and (C, P) float32 each, direct light of sampled sources, light found by rays, and light
-    reflected at least once [W/m^2]; nearness: (P,) mean inverse distance that the rays went, in scene diagonals."""
+    reflected at least once [W/m^2]; nearness: (P,) float32 mean inverse distance that the rays went, in scene diagonals."""
 
     rays: int
     asked: np.ndarray
@@ -134,7 +134,7 @@ class Gathering:
         """Ask for another replicate of `rays` rays at points ids (K,), all if None."""
         count, light = len(self.points), (np.zeros(self._start.direct.shape, np.float32) for _ in PARTS)
         asked = np.ones(count, bool) if ids is None else np.isin(np.arange(count), ids)
-        self.gathered.replicates.append(Replicate(rays, asked, np.zeros(count), *light, np.zeros(count)))
+        self.gathered.replicates.append(Replicate(rays, asked, np.zeros(count), *light, np.zeros(count, np.float32)))
 
     def gather(self):
         """Gather the first replicate that is not complete: a generator that yields the number of its points that are done.
@@ -184,7 +184,7 @@ class Gathering:
             return self._start
         links = self.gathered.links & np.repeat(done, np.diff(self.points.neighbor_start)) & done[self.points.neighbor]
         share = np.sqrt(np.sqrt(ratio(64.0, rays)))
-        nearness = sum(r.rays * r.nearness for r in replicates)
+        nearness = sum(r.rays * r.nearness.astype(float) for r in replicates)
         filter = _Filter(self.points, REACH * share * diagonal * ratio(rays, nearness), links)
 
         weights = [r.weight for r in replicates]
