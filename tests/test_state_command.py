@@ -89,8 +89,10 @@ KINDS = {
 }
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize(("phase", "number"), [("transport", 1), ("gather", 3)])
+@pytest.mark.parametrize(
+    ("kind", "phase", "number"),
+    [("vertex", "transport", 1), ("lightmap", "transport", 1), *((kind, "gather", 3) for kind in KINDS)],
+)
 def test_ctrl_c_keeps_a_state_that_leads_to_the_same_result(scene, monkeypatch, kind, phase, number):
     options = (*KINDS[kind], "--error", "0.5%")
     _, whole, expected = baked(scene, "a.blend", *options)
@@ -355,3 +357,22 @@ def test_relight_says_what_is_wrong(two_lamps, capfd):
     bpy.data.materials["red"].node_tree.nodes["Diffuse BSDF"].inputs["Color"].default_value = (0.1, 0.8, 0.1, 1)
     bpy.ops.wm.save_mainfile()
     assert "the reflectance has changed: wall is not what it was" in said(state, moved)[1]
+
+
+def test_a_layer_that_a_bake_did_not_come_to_is_left_out(scene, monkeypatch):
+    """Ambient occlusion comes last: a bake that was broken off before writes what it has."""
+
+    def stop(self, progress):
+        if progress.phase == "gather":
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(progress.Bar, "show", stop)
+    for kind in ((), ("--target", "lightmap", "--texels-per-meter", "8")):
+        out = scene.with_name("lit.blend")
+        assert main(["bake", str(scene), "-o", str(out), "--layers", "Occlusion,Lighting", "--quiet", *kind]) == 130
+        found = layers(out)
+        assert any("Lighting" in name for name in found)
+        assert not any("Occlusion" in name for name in found)
+        out.unlink()
+        assert main(["bake", str(scene), "-o", str(out), "--layers", "Occlusion", "--quiet", *kind]) == 130
+        assert not out.exists()
