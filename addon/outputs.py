@@ -27,7 +27,7 @@ from .errors import Refused
 from .images import image_path, make_image
 from .remesh import carry_groups, groups_of, make_mesh, piece_of
 from .shown import forget_others, show
-from .write_result import check_names, copy_with, result_copy, source_mesh, srgb, write_layers, writing_result
+from .write_result import check_names, copy_with, result_copies, source_mesh, srgb, write_layers, writing_result
 
 UV_MAP = "Lightmap"
 EXPOSURE = "cell_radiosity_exposure"  # property of a mesh or image: the light was multiplied by 2 to this
@@ -89,8 +89,9 @@ class VertexColors:
             context, self.colors, targets, self.options.domain, self.encoded, self.channel
         )
         if self.options.bytes:
+            copies = result_copies(context.scene)
             for target in targets:
-                for object in (context.scene.objects.get(target.object), result_copy(context.scene, target.object)):
+                for object in (context.scene.objects.get(target.object), copies.get(target.object)):
                     if object is not None:
                         object.data[EXPOSURE] = self.exposure
         return findings

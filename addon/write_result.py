@@ -42,9 +42,10 @@ def writing_result(context, colors, targets, domain, encoded=(), channel=None):
     values), to be written into an attribute that is there.
     """
     findings = []
+    copies = {name: copy.name for name, copy in result_copies(context.scene).items()}  # once: thousands of objects, too
     for target in targets:
         yield
-        mesh = _place(context, target)
+        mesh = _place(context, target, copies.get(target.object))
         if isinstance(mesh, Finding):
             findings.append(mesh)
             continue
@@ -65,9 +66,14 @@ def write_layers(mesh, colors, domain, encoded=(), channel=None):
     mesh.update()
 
 
+def result_copies(scene):
+    """{name of an object: copy in a scene that holds its result, the first of several}."""
+    return {o[f"{KEY}_of"]: o for o in reversed(scene.objects[:]) if is_made(o) and f"{KEY}_of" in o}
+
+
 def result_copy(scene, name):
     """The copy in a scene that holds the result of the object of a name, or None."""
-    return next((o for o in scene.objects if is_made(o) and o.get(f"{KEY}_of") == name), None)
+    return result_copies(scene).get(name)
 
 
 def remove_copy(scene, copy):
@@ -98,20 +104,21 @@ def source_mesh(context, target):
 
 def copy_with(scene, name, mesh):
     """A marked copy of the object of a name with a mesh of its own, in place of it and of any older copy."""
-    return _result_copy(scene, scene.objects[name], mesh)
+    return _result_copy(scene, scene.objects[name], mesh, result_copy(scene, name))
 
 
 def _changed(target):
     return Finding(target.object, "its mesh was changed during the bake", "its light was dropped: bake it again")
 
 
-def _place(context, target):
-    """The mesh that takes a target's light, made if need be; a Finding if the object is not what was read."""
+def _place(context, target, copy_name):
+    """The mesh that takes a target's light, made if need be; a Finding if the object is not what was read. copy_name: of the
+    copy that holds its last result, or None."""
     scene = context.scene
     object = scene.objects.get(target.object)
     if object is None:
         return Finding(target.object, "it was deleted during the bake", "its light was dropped")
-    copy = result_copy(scene, target.object)
+    copy = scene.objects.get(copy_name) if copy_name else None
     corners = target.last - target.first
     if not target.same:
         if copy is None or len(copy.data.loops) != corners:
@@ -120,7 +127,7 @@ def _place(context, target):
             if len(mesh.loops) != corners:
                 bpy.data.meshes.remove(mesh)
                 return _changed(target)
-            copy = _result_copy(scene, object, mesh)
+            copy = _result_copy(scene, object, mesh, copy)
         return copy.data
     if len(object.data.loops) != corners or object.mode == "EDIT":
         return _changed(target)
@@ -185,10 +192,9 @@ def _evaluated_mesh(object, depsgraph):
     return bpy.data.meshes.new_from_object(evaluated, preserve_all_data_layers=True, depsgraph=depsgraph)
 
 
-def _result_copy(scene, object, mesh):
-    """A marked copy of an object with another mesh and no modifiers, in place of any older one; the original is
-    hidden."""
-    former = result_copy(scene, object.name)
+def _result_copy(scene, object, mesh, former):
+    """A marked copy of an object with another mesh and no modifiers, in place of the former one, if there is one; the
+    original is hidden."""
     if former is not None:
         remove_copy(scene, former)
     copy = object.copy()

@@ -12,8 +12,10 @@ import numpy as np
 import pytest
 
 bpy = pytest.importorskip("bpy")
+from cell_radiosity.addon import write_result  # noqa: E402
 from cell_radiosity.addon.command import main  # noqa: E402
 from cell_radiosity.addon.errors import Refused  # noqa: E402
+from cell_radiosity.addon.marks import is_made  # noqa: E402
 
 from blender_scenes import bake_ours, colors, diffuse, empty, lamp, plane  # noqa: E402
 
@@ -55,6 +57,22 @@ def test_8_bit_copies_hold_the_light_under_the_stated_curve(cells, domain):
     light = np.concatenate([colors(bpy.data.objects[n].data, "Radiosity").max(axis=1) for n in ("floor", "wall")])
     assert (light * 2**exposure <= 1.0001).mean() > 0.95
     assert (light * 2**exposure).max() > 0.98
+
+
+def test_writing_to_many_objects_looks_for_copies_once(cells, monkeypatch):
+    """Looking at all objects for each of them would take minutes for ten thousand."""
+    empty()
+    lamp("POINT", 300.0, location=(0, 0, 2))
+    made = [plane(f"tile {k}", location=(0.1 * k, 0, 0), scale=(0.05, 0.05, 1)) for k in range(40)]
+    made[0].modifiers.new("split", "TRIANGULATE")  # its light goes to a copy
+    bake_ours(cells)
+    looks = []
+    monkeypatch.setattr(write_result, "is_made", lambda o: looks.append(o) or is_made(o))
+    bake_ours(cells, bytes=True)
+    assert len(looks) <= 3 * len(made)
+    copies = [o for o in bpy.context.scene.objects if is_made(o)]
+    assert [o["cell_radiosity_of"] for o in copies] == ["tile 0"]
+    assert all("Radiosity_8bit" in o.data.color_attributes for o in (*made[1:], *copies))
 
 
 @pytest.mark.parametrize("kind", ["FLOAT_COLOR", "BYTE_COLOR"])

@@ -6,8 +6,9 @@ cells in survey, patches, transport and gather, if nothing else is said.
 
 from __future__ import annotations
 
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
+import json
+import subprocess
+import sys
 from time import process_time
 
 import bpy
@@ -17,7 +18,7 @@ from cell_radiosity.addon.job import Job, Options, default_cells
 from cell_radiosity.core.cells import make_cells
 
 from .law import exponent
-from .scenes import Lamp, Material, Mesh, Settings, bake, box, box_corners, grid, join_meshes, run
+from .scenes import ROOT, Lamp, Material, Mesh, Settings, bake, box, box_corners, grid, join_meshes, run
 
 LONG = 30.0  # CPU seconds of a measurement, after which its series ends; that of points goes on
 TILES = 10_000
@@ -36,9 +37,9 @@ def series(name):
     flatten the former."""
     runs = []
     for size in SIZES[name]:
-        context = get_context("spawn")
-        with ProcessPoolExecutor(1, mp_context=context) as process:
-            runs.append(process.submit(globals()[f"of_{name}"], size).result())
+        asked = [sys.executable, "-m", __spec__.name, name, str(size)]
+        told = subprocess.run(asked, cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True).stdout
+        runs.append(json.loads(told.splitlines()[-1]))
         print(f"{name}: " + ", ".join(f"{k} {v:.5g}" for k, v in runs[-1].items()), flush=True)
         if runs[-1]["cpu"] > LONG and name != "points":
             break
@@ -182,3 +183,7 @@ def _add(name, vertices, quads):
     mesh = bpy.data.meshes.new(name)
     mesh.from_pydata(vertices.tolist(), [], quads.tolist())
     bpy.context.scene.collection.objects.link(bpy.data.objects.new(name, mesh))
+
+
+if __name__ == "__main__":
+    print(json.dumps(globals()[f"of_{sys.argv[1]}"](int(sys.argv[2]))), flush=True)
