@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import bpy
 
+from cell_radiosity.addon.files import silent
 from cell_radiosity.addon.read_scene import read_scene
 from cell_radiosity.core.bake import bake, run
 from cell_radiosity.core.cells import make_cells
@@ -68,7 +69,8 @@ def main():
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--counts", default="1,2,8,32,64", help="sleeping processes")
     arguments = parser.parse_args()
-    bpy.ops.wm.open_mainfile(filepath=arguments.scene)
+    with silent():
+        bpy.ops.wm.open_mainfile(filepath=arguments.scene)
     scene, _ = read_scene(bpy.context)
     settings = replace(Settings.for_error(arguments.error / 100), gather_rays=arguments.gather_rays)
     speed_up(scene, settings, arguments.runs)

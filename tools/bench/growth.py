@@ -73,7 +73,7 @@ def of_patches(size):
         cpu = process_time() - begun + (now.cpu - used.cpu) - (now.here - used.here)
         rays = now.rays - used.rays
         found = run(generator)
-    return {"size": len(found.patches), "cpu": cpu, "rays": rays, "memory_mb": _memory(found)}
+    return {**_told(len(found.patches), found), "cpu": cpu, "rays": rays}
 
 
 def of_emitters(size):
@@ -130,12 +130,11 @@ def of_objects(size):
 
 
 def _told(size, found):
-    return {"size": size, "cpu": found.seconds["cpu"], "rays": found.rays, "memory_mb": _memory(found)}
-
-
-def _memory(found):
-    """Peak memory of host and cells [MB]."""
-    return found.cells["host_mb"] + sum(found.cells["cells_mb"])
+    """What a Bake took; its peak memory [MB], of the host and of all cells."""
+    return {
+        "size": size, "cpu": found.seconds["cpu"], "rays": found.rays, "host_mb": found.cells["host_mb"],
+        "cells_mb": sum(found.cells["cells_mb"]),
+    }  # fmt: skip
 
 
 def walls(n):

@@ -194,12 +194,14 @@ def _of_growth(found):
             s = found[name]
             cells = ", ".join(f"{r['size']}: {number(r['cpu'])} s" for r in s["runs"])
             rows.append([name, cells, f"{s['exponent']:.2f}", f"{s['end']:.2f}"])
-    lines = [table(["", "CPU seconds", "exponent", "of the last two"], rows)]
+    lines = [table(["", "CPU seconds", "exponent of all", "of the last two"], rows)]
     if "points" in found:
-        *_, (x0, m0), (x1, m1) = [(r["size"], r["memory_mb"]) for r in found["points"]["runs"]]
-        grows = (m1 - m0) / (x1 - x0) * 1e6
+        before, last = found["points"]["runs"][-2:]
+        more = last["size"] - before["size"]
+        each = [(last[k] - before[k]) / more * 1e6 for k in ("host_mb", "cells_mb")]
         lines += [
-            f"Peak memory of host and cells at {x1} points: {m1:.0f} MB; {grows:.0f} MB for each further million points."
+            f"Peak memory at {last['size']} points: {last['host_mb'] + last['cells_mb']:.0f} MB; each further million takes "
+            f"{each[0]:.0f} MB of the host's and {each[1]:.0f} MB of all cells'."
         ]
     if "objects" in found:
         last = found["objects"]["runs"][-1]
