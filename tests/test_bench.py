@@ -73,9 +73,9 @@ def test_the_readme_has_the_latest_figures():
 
     results = [json.loads(path.read_text()) for path in sorted(page.FOLDER.glob("20*.json"))]
     latest = [r["errors"]["scenes"] for r in results if "errors" in r][-1]
-    begin, end = page.MARKS
-    table = (ROOT / "README.md").read_text().split(begin)[1].split(end)[0]
-    assert table.strip() == page.ratio_table(latest)
+    readme = (ROOT / "README.md").read_text()
+    for name, table in page.readme_tables(latest).items():
+        assert readme.split(page.MARK.format(name))[1].strip() == table
 
 
 def test_scenes_of_the_series_have_the_size_they_are_said_to_have(rng):
@@ -93,3 +93,21 @@ def test_scenes_of_the_series_have_the_size_they_are_said_to_have(rng):
     emitters = join_meshes([growth.tiles("glowing", rng.random((50, 3)), 0.5 / 50**0.5, rng)])
     assert len(emitters.polygon_object) == 50
     assert emitters.triangle_normal_area[1].sum() == pytest.approx(1.0)
+
+
+def test_parts_of_a_bake_add_up(cells):
+    """Rays and seconds inside Embree of transport and gather are those of the whole bake, but for the survey's before."""
+    pytest.importorskip("bpy")
+    from tools.bench.phases import watched
+
+    from scenes import Lamp, Settings, box, join_meshes
+
+    block = box("block", (0.3, 0.3, 0), (0.6, 0.6, 0.4), inward=False)
+    scene = join_meshes([box(n=6), block], lamps=[Lamp("point", (1.0,) * 3, (0.5, 0.2, 0.8))])
+    before = cells.usage.snapshot()
+    found = watched(scene, Settings(), cells)
+    for part in found.values():
+        assert part["rays"] > 0
+        assert 0 < part["embree"] < part["cpu"]
+    both = sum(part["rays"] for part in found.values())
+    assert 0.5 * (cells.usage.rays - before.rays) < both < cells.usage.rays - before.rays

@@ -85,8 +85,18 @@ def main():
     for part in arguments.parts or PARTS:
         before = load()
         results[part] = {**PARTS[part](arguments, results.get(part, {})), "load": [before, load()]}
+        results = rounded(results)
         write_json(results, file)
     page.write(results)
+
+
+def rounded(value):
+    """A document with numbers of five digits that count."""
+    if isinstance(value, dict):
+        return {key: rounded(part) for key, part in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [rounded(part) for part in value]
+    return float(f"{value:.5g}") if isinstance(value, float) else value
 
 
 if __name__ == "__main__":

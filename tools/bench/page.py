@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 
 from cell_radiosity.addon.plots import COLORS, pyplot
 
@@ -14,7 +13,7 @@ from .phases import PHASES
 from .scenes import ROOT, SAMPLES
 
 FOLDER = ROOT / "docs" / "bench"
-MARKS = "<!-- table of make bench -->", "<!-- end -->"
+MARK = "<!-- make bench: {} -->"  # before and after a table in the README
 TITLES = {
     "cornell_box": "Cornell box", "hall": "Hall", "sunlit_room": "Sunlit room", "door": "Two rooms, a door ajar",
     "small_lamps": "Small bright lamps", "many_emitters": "Hundreds of glowing faces", "window": "Sun through a window",
@@ -254,10 +253,16 @@ def history():
     return table(head, rows)
 
 
+def readme_tables(scenes):
+    """{name: table} of those that the README has, between two marks each."""
+    return {"ratios": ratio_table(scenes), "bakes": bakes_table(scenes)}
+
+
 def update_readme(scenes, path=ROOT / "README.md"):
-    """Put the table of ratios between its marks in the README."""
-    begin, end = MARKS
+    """Put the tables between their marks in the README."""
     text = path.read_text()
-    path.write_text(
-        re.sub(f"{begin}.*?{end}", lambda _: f"{begin}\n{ratio_table(scenes)}\n{end}", text, flags=re.DOTALL)
-    )
+    for name, made in readme_tables(scenes).items():
+        before, mark, after = text.partition(MARK.format(name))
+        _, last, after = after.partition(mark)
+        text = f"{before}{mark}\n{made}\n{last}{after}"
+    path.write_text(text)

@@ -23,7 +23,7 @@ def embree_shares(name, cells, bare, runs):
     of the CPU seconds of host and cells, which other programs change less. Gather is all that comes after transport: placing
     points, filter and estimate too. rate, bare: rays per CPU second inside Embree, and of the bare loop."""
     scene = opened(name)
-    found = [_watched(scene, cells) for _ in range(runs + 1)][1:]
+    found = [watched(scene, Settings.for_error(ERROR), cells) for _ in range(runs + 1)][1:]
     parts = {
         part: {key: float(np.median([f[part][key] for f in found])) for key in found[0][part]} for part in found[0]
     }
@@ -41,14 +41,14 @@ def embree_shares(name, cells, bare, runs):
     }
 
 
-def _watched(scene, cells):
+def watched(scene, settings, cells):
     """One bake: {"transport" and "gather": {wall, cpu, embree, rays}}."""
 
     def mark():
         used = cells.usage
         return np.array([perf_counter(), process_time() + used.cpu - used.here, used.embree, used.rays])
 
-    last, generator = {}, bake(scene, Settings.for_error(ERROR), cells)
+    last, generator = {}, bake(scene, settings, cells)
     while True:
         try:
             progress = next(generator)
