@@ -137,7 +137,8 @@ def _of_errors(found):
         draw_errors(samples, cycles, FOLDER / "samples.png")
     return f"""## Error against seconds
 
-How many times less CPU seconds than Cycles' own vertex bake, for the same measured error; "-": it was not reached:
+How many times less CPU seconds than Cycles' own vertex bake, for the same measured error; "-": it was not reached.
+Between two bakes costs lie on a straight line of logarithms; where the cheapest bake is better than that error, it counts as it is.
 
 {ratio_table(scenes)}
 
