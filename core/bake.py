@@ -44,6 +44,7 @@ EACH_OBJECT = 24  # of them, if every object is to reach the error
 MOST_CONTROL_POINTS = 2000
 MOST_REPLICATES = 40  # where objects are gathered one by one
 CONTROL_RAYS = ((0.03, 16), (0.015, 32), (0.0, 64))  # of each truth at first, from an error on
+SURE_RAYS = 64  # with so many, doubts far below the error asked for do not matter
 MOST_CONTROL_RAYS = 1024
 UNSURE = 0.5  # of the square of the noise: a doubt above that asks for more control rays
 UNSURE_ABOVE = 0.15  # the same, where the error asked for seems out of reach of what was gathered
@@ -346,7 +347,9 @@ class _Course:
         """Whether the control knows too little of what replicates share, where their noise is small enough."""
         error, found = self.settings.error, self.estimate
         share = UNSURE if found.total <= ENOUGH * error else UNSURE_ABOVE
-        return found.noise <= ENOUGH * error and found.doubt > share * max(found.noise, SMALL * error) ** 2
+        # What is known at little cost is known well beside the noise; beyond that, beside what was asked for.
+        least = SMALL * error if self.control.rays >= SURE_RAYS else 0.0
+        return found.noise <= ENOUGH * error and found.doubt > share * max(found.noise, least) ** 2
 
     def _estimate(self):
         free = self.gathering.gathered.closest > CROWDED

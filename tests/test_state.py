@@ -182,7 +182,8 @@ def test_a_smaller_error_is_reached_by_going_on(tmp_path, coarse, fine):
     first, second = Counting(), Counting()
     state = through(tmp_path / "s", run(bake(room(), Settings.for_error(coarse), first)).state())
     result = run(bake(room(), Settings.for_error(fine), second, state=state))
-    anew = run(bake(room(), Settings.for_error(fine), LocalCells()))
+    rows = Settings.for_error(coarse).row_rays
+    anew = run(bake(room(), replace(Settings.for_error(fine), row_rays=rows), LocalCells()))
     assert result.converged
     assert result.estimate.total <= fine
     again = {name for name, *_ in first.traced & second.traced}
@@ -251,7 +252,7 @@ def test_other_ways_to_bake(tmp_path, cells, more, groups):
 def test_objects_one_by_one(tmp_path):
     """Replicates at the points of some objects are carried on, too; and control points of each object are drawn where they
     were not, without a sample of the former ones."""
-    settings = Settings.for_error(0.02, per_object=True)
+    settings = Settings.for_error(0.008, per_object=True)
     cells = Counting()
     expected = run(bake(room(), settings, cells))
     some = [k for k, r in enumerate(expected.state().gathered.replicates) if not r.asked.all()]
@@ -264,7 +265,7 @@ def test_objects_one_by_one(tmp_path):
     assert first.traced + second.traced == cells.traced
 
     first, second = Counting(), Counting()
-    state = through(tmp_path / "s", run(bake(room(), Settings.for_error(0.02), first)).state())
+    state = through(tmp_path / "s", run(bake(room(), Settings.for_error(0.008), first)).state())
     result = run(bake(room(), settings, second, state=state))
     assert not first.traced & second.traced
     assert len(result.state().control[0]) > 0
