@@ -46,7 +46,7 @@ def run_cells(arguments):
         pyplot()
     source = open_scene(arguments, arguments.report, arguments.plot)
     scene, _ = read_scene(context_of(arguments), wanted_by(arguments.objects))
-    settings = make_options(arguments).settings(scene.diagonal)
+    settings = make_options(arguments).settings(scene)
     with cells_for(arguments) if arguments.cluster else nullcontext() as joined:
         cores = joined.count if joined else default_cells()
         counts = arguments.counts or tuple(n for n in (1, 2, 4, 8, 16, 32, 64) if n < cores and not joined) + (cores,)

@@ -40,7 +40,7 @@ def run_effects(arguments):
     scene, _ = read_scene(context_of(arguments), wanted_by(arguments.objects))
     if not len(scene.triangles):
         raise Refused("there is no mesh: no visible object with faces")
-    read, settings = perf_counter() - begun, make_options(arguments).settings(scene.diagonal)
+    read, settings = perf_counter() - begun, make_options(arguments).settings(scene)
     begun = perf_counter()
     found = survey(scene, settings)
     seconds = perf_counter() - begun

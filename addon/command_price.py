@@ -50,7 +50,7 @@ def run_price(arguments):
     if not targets:
         raise Refused("there is nothing to bake")
     options = make_options(arguments)
-    settings = options.settings(scene.diagonal)
+    settings = options.settings(scene)
     with cells_for(arguments, arguments.cells) as cells, Bar(quiet=arguments.quiet) as bar:
         prices = run(price(scene, settings, cells, arguments.errors), bar.show)
         rows = [price_row(p) for p in prices]
@@ -91,7 +91,7 @@ def _measured(scene, options, prices, cells, reference, bar):
     the finest of them."""
     baked = []
     for p in prices:
-        settings = replace(options, error=p.error, time=None).settings(scene.diagonal)
+        settings = replace(options, error=p.error, time=None).settings(scene)
         baked.append(run(bake(scene, settings, cells), bar.show))
     finest = baked[int(np.argmin([p.error for p in prices]))]
     rows = []

@@ -80,8 +80,8 @@ class Options:
     padding: int = 2
     image: str = "exr"
 
-    def settings(self, diagonal):
-        """The core's Settings; diagonal: of the scene [m]."""
+    def settings(self, scene):
+        """The core's Settings for a Scene."""
         settings = Settings.for_error(
             self.error,
             per_object=self.per_object,
@@ -97,7 +97,7 @@ class Options:
         if self.max_patch == "mesh":
             return replace(settings, patch_edge=None)
         if self.max_patch is not None:
-            return replace(settings, patch_edge=self.max_patch / max(diagonal, 1e-300))
+            return replace(settings, patch_edge=self.max_patch / max(scene.focus, 1e-300), graded=False)
         return settings
 
 
@@ -180,7 +180,7 @@ class Job:
 
     def bake(self):
         """The core's bake: yields Progress."""
-        settings = self.options.settings(self.scene.diagonal)
+        settings = self.options.settings(self.scene)
         try:
             self.result = yield from bake(
                 self.scene, settings, self.cells, self.output.place, self._group_of, self._state
@@ -203,13 +203,13 @@ class Job:
         """The core's survey alone, as `survey`: yields Progress."""
         yield Progress("survey", 0.0, 0.0)
         try:
-            self.survey = survey(self.scene, self.options.settings(self.scene.diagonal), self.cells)
+            self.survey = survey(self.scene, self.options.settings(self.scene), self.cells)
         finally:
             self.cells.clear()
 
     def find_prices(self):
         """The core's price list alone, as `prices`: yields Progress."""
-        settings = self.options.settings(self.scene.diagonal)
+        settings = self.options.settings(self.scene)
         self.prices = yield from price(
             self.scene, settings, self.cells, place=self.output.place, group_of=self._group_of
         )

@@ -24,7 +24,7 @@ from .kernel import cast_arrays, transport_arrays
 from .lights import emitting_polygons, make_sources
 from .occlusion import find_openness
 from .paper import solve_paper
-from .patches import Patches, count_patches, make_patches, patch_of_hit
+from .patches import Patches, count_patches, make_patches, patch_of_hit, patch_size
 from .placing import refill, thin_findings
 from .points import Points, make_points
 from .records import from_arrays, to_arrays
@@ -199,8 +199,8 @@ class _Course:
     def lay(self):
         """Patches, and what they do with light."""
         scene, settings, cells, found, known = self.scene, self.settings, self.cells, self.survey, self._known
-        edge = None if settings.patch_edge is None else settings.patch_edge * scene.diagonal
-        patches = known.patches if known else make_patches(scene, edge)
+        edge, growth = patch_size(scene, settings)
+        patches = known.patches if known else make_patches(scene, edge, growth)
         world = scene.world if found.needs("sky") else World()
         sky, _ = split_sky(world)
         sources, sampled = make_sources(scene.but(world=world))
@@ -315,9 +315,10 @@ class _Course:
         if self.settings.patch_edge is None:
             return [1.0] * len(errors)
         knobs = [self.settings, *(_eased(Settings.for_error(error), self.survey) for error in errors)]
-        edges = sorted({k.patch_edge for k in knobs})
-        count = dict(zip(edges, count_patches(self.scene, [e * self.scene.diagonal for e in edges])))
-        own, *others = (sqrt(k.row_rays) * count[k.patch_edge] for k in knobs)
+        sizes = [patch_size(self.scene, k) for k in knobs]
+        different = sorted(set(sizes))
+        count = dict(zip(different, count_patches(self.scene, different)))
+        own, *others = (sqrt(k.row_rays) * count[size] for k, size in zip(knobs, sizes))
         return [work / max(own, 1.0) for work in others]
 
     def _seconds(self):

@@ -18,7 +18,7 @@ from .cells import LocalCells, make_cells
 from .host import make_rows, solve, submit_rows
 from .kernel import scene_arrays
 from .lights import make_sources
-from .patches import make_patches
+from .patches import make_patches, patch_size
 from .replay import CAUSES, ReplayCells, TaskTimes, measure_messages
 from .sky import split_sky
 from .surfaces import make_surfaces
@@ -126,8 +126,7 @@ def convergence(scene, settings):
 
 def _ground(scene, settings):
     """What a solve starts from: Patches, Surfaces, the sky and cells in this process."""
-    edge = None if settings.patch_edge is None else settings.patch_edge * scene.diagonal
-    patches = make_patches(scene, edge)
+    patches = make_patches(scene, *patch_size(scene, settings))
     sources, sampled = make_sources(scene)
     cells = LocalCells()
     sky, _ = split_sky(scene.world)

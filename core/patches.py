@@ -69,10 +69,20 @@ class Patches:
         return len(self.area)
 
 
-def make_patches(scene, edge=None):
-    """Cut the scene's usable triangles into Patches with edges of at most about `edge` meters (None: one per polygon)."""
+def patch_size(scene, settings):
+    """The longest edge [m] of patches, None where every polygon is one, and what it is at least as a share of a polygon."""
+    if settings.patch_edge is None:
+        return None, 0.0
+    return settings.patch_edge * scene.focus, settings.patch_edge if settings.graded else 0.0
+
+
+def make_patches(scene, edge=None, growth=0.0):
+    """Cut the scene's usable triangles into Patches with edges of at most about `edge` meters (None: one per polygon), or a
+    share `growth` of a polygon's extent, or of its distance from the scene's focus, where that is more: a wide ground around
+    a room is not cut as finely as the room.
+    """
     triangle, facet = _facets(scene)
-    grid = _lay_grids(scene, triangle, facet, edge)
+    grid = _lay_grids(scene, triangle, facet, edge, growth)
     cells = grid.columns * grid.rows
     first = np.cumsum(cells) - cells
 
@@ -203,8 +213,8 @@ class _Grid:
     frame: np.ndarray
 
 
-def _lay_grids(scene, triangle, facet, edge):
-    """Grids with cells of at most `edge`: over quads along their own edges, over others along the longest edge."""
+def _lay_grids(scene, triangle, facet, edge, growth):
+    """Grids with cells of at most `edge`, see `make_patches`: over quads along their own edges, over others along the longest edge."""
     leading = _changes(facet)
     count = int(leading.sum())
     place = np.full((len(triangle), 3, 2), 0.5)
@@ -213,9 +223,10 @@ def _lay_grids(scene, triangle, facet, edge):
     if edge is None or not count:
         return grid
     corners = scene.vertices[scene.triangles[triangle]]
-    for chosen, part, owner, lay in _kinds(scene, triangle, facet, corners, leading, edge):
+    size, away = _extents(scene, corners, leading)
+    for chosen, part, owner, lay in _kinds(scene, triangle, facet, leading, size > edge):
         at, span = lay(scene, triangle[part], owner, corners[part], leading[part])
-        cells = _cells_of(span, edge)
+        cells = _cells_of(span, np.maximum(size, away)[chosen], edge, growth)
         # A sliver thinner than its digits has no frame: what it belongs to stays whole.
         thin = np.bincount(owner, ~(np.abs(_determinant(at)) > THIN)) > 0
         cells[thin] = 1
@@ -227,33 +238,39 @@ def _lay_grids(scene, triangle, facet, edge):
     return grid
 
 
-def count_patches(scene, edges):
-    """About how many patches each of some `edges` [m] would make, before surfaces in contact cut them: a list."""
+def count_patches(scene, sizes):
+    """About how many patches each of some sizes (edge, growth) would make, before surfaces in contact cut them: a list."""
     triangle, facet = _facets(scene)
     leading = _changes(facet)
-    corners = scene.vertices[scene.triangles[triangle]]
-    span, large = np.zeros((int(leading.sum()), 2)), np.zeros(int(leading.sum()), bool)
-    for chosen, part, owner, lay in _kinds(scene, triangle, facet, corners, leading, min(edges)):
-        span[chosen], large[chosen] = lay(scene, triangle[part], owner, corners[part], leading[part])[1], True
-    area = np.bincount(facet, scene.triangle_normal_area[1][triangle], len(large))
-    share = [
-        np.where(large, _cells_of(span, e).prod(axis=1), np.minimum(area / (CLUSTER * e) ** 2, 1.0)) for e in edges
-    ]
-    return [float(s.sum()) for s in share]
-
-
-def _cells_of(span, edge):
-    """(F, 2) columns and rows of cells of at most `edge` over facets with sides (F, 2) [m]."""
-    return np.maximum(np.ceil(span / edge - SLACK), 1)
-
-
-def _kinds(scene, triangle, facet, corners, leading, edge):
-    """The facets wider than `edge` by the way that grids are laid over them: which facets (F,), their triangles (K,), the
-    number 0, 1, ... of the facet of each (K,), and the function that lays the grids."""
     if not len(triangle):
-        return
+        return [0.0] * len(sizes)
+    corners = scene.vertices[scene.triangles[triangle]]
+    (size, away), span = _extents(scene, corners, leading), np.zeros((int(leading.sum()), 2))
+    for chosen, part, owner, lay in _kinds(scene, triangle, facet, leading, size > min(edge for edge, _ in sizes)):
+        span[chosen] = lay(scene, triangle[part], owner, corners[part], leading[part])[1]
+    area = np.bincount(facet, scene.triangle_normal_area[1][triangle], len(size))
+    found = []
+    for edge, growth in sizes:
+        cells = _cells_of(span, np.maximum(size, away), edge, growth).prod(axis=1)
+        found.append(float(np.where(size > edge, cells, np.minimum(area / (CLUSTER * edge) ** 2, 1.0)).sum()))
+    return found
+
+
+def _cells_of(span, wide, edge, growth):
+    """(F, 2) columns and rows of cells over facets with sides (F, 2) [m]; wide: (F,) what `growth` is a share of [m]."""
+    return np.maximum(np.ceil(span / np.maximum(edge, growth * wide)[:, None] - SLACK), 1)
+
+
+def _extents(scene, corners, leading):
+    """Extents (F,) of facets, and how far (F,) they are from the scene's focus [m]."""
     low, high = _extent(corners, leading)
-    large = length(high - low) > edge
+    inner, outer = scene.focus_bounds
+    return length(high - low), length(np.maximum(np.maximum(inner - high, low - outer), 0.0))
+
+
+def _kinds(scene, triangle, facet, leading, large):
+    """The large (F,) facets by the way that grids are laid over them: which facets (F,), their triangles (K,), the
+    number 0, 1, ... of the facet of each (K,), and the function that lays the grids."""
     polygon = scene.triangle_polygon[triangle]
     quad = np.diff(scene.polygon_start)[polygon[leading]] == 4
     quad &= np.bincount(facet, minlength=len(quad)) == 2

@@ -15,6 +15,7 @@ import numpy as np
 from .vectors import counted, cross, length, unit
 
 BLACK = (0.0, 0.0, 0.0)
+OUTERMOST = 0.03  # of the vertices, on every side, lie outside of what a bake is about
 # What a scene's shape depends on, and what is found of it once and kept.
 GEOMETRY = {"vertices", "polygon_start", "corner_vertex", "triangle_corner", "triangle_polygon"}
 KNOWN = ("polygon_normal", "triangles", "triangle_normal_area", "solid", "bounds", "diagonal")
@@ -208,6 +209,23 @@ class Scene:
         """Lowest and highest corner of the solid geometry, (2, 3); zeros if there is none."""
         used = self.vertices[np.unique(self.triangles[self.solid])]
         return np.stack([used.min(axis=0), used.max(axis=0)]) if len(used) else np.zeros((2, 3))
+
+    @cached_property
+    def focus_bounds(self):
+        """Lowest and highest corner (2, 3) of what a bake is about: of the written objects' vertices but for the outermost
+        3 % on every side. A wide ground with few vertices does not count, a fine one does."""
+        mine = self.usable & self.written[self.polygon_object[self.triangle_polygon]]
+        used = self.vertices[np.unique(self.triangles[mine if mine.any() else self.usable])]
+        if not len(used):
+            return np.zeros((2, 3))
+        cut = int(OUTERMOST * len(used))
+        return np.sort(used, axis=0)[[cut, len(used) - 1 - cut]]
+
+    @cached_property
+    def focus(self):
+        """How large that is: the diagonal of its box [m]."""
+        low, high = self.focus_bounds
+        return float(np.sqrt(((high - low) ** 2).sum())) or self.diagonal
 
     @cached_property
     def diagonal(self):

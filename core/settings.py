@@ -19,7 +19,7 @@ class Settings:
     """Knobs of a bake.
 
     error: the relative error asked for. per_object: of every object that is not too dark, not of the whole alone. seed: of all sample sequences. patch_edge: longest edge of a patch, as a share
-    of the scene's diagonal; None makes every polygon one patch. row_rays: of a form-factor row. patch_samples: places
+    of the scene's focus, and if graded of a polygon that is larger than that; None makes every polygon one patch. row_rays: of a form-factor row. patch_samples: places
     on a patch where its direct light is tested. gather_rays: of a point; None gathers until the error is reached. pilot_rays: of
     each of the first replicates. side: whose light is asked for, of each
     face: "front", "back" or "lit" (the one that gets more). schedule: "dynamic" or "paper"; rows: "rays" or "analytic",
@@ -31,6 +31,7 @@ class Settings:
     per_object: bool = False
     seed: int = 0
     patch_edge: float | None = 1 / 70
+    graded: bool = True
     row_rays: int = 16
     patch_samples: int = 4
     gather_rays: int | None = None

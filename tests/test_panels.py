@@ -110,7 +110,7 @@ def test_the_button_gives_the_bits_of_the_command_and_of_the_core(room, cells):
     bake_ours(cells, error=0.1)
     expected = {m.name: colors(m, "Radiosity") for m in bpy.data.meshes}
     scene, targets = read_scene(bpy.context)
-    core = run(bake(scene, Options(error=0.1).settings(scene.diagonal), LocalCells()))
+    core = run(bake(scene, Options(error=0.1).settings(scene), LocalCells()))
     for target in targets:
         own = layer_colors(core, "Radiosity")[target.first : target.last].astype(np.float32)
         assert np.array_equal(own, expected[target.object][target.corner])
