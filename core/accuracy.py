@@ -169,10 +169,16 @@ class Price:
     rays: int
 
 
-def price_of(error, estimate, gathering, work, spent, rate, memory_mb):
+def price_of(error, estimate, gathering, work, spent, rate, control, memory_mb):
     """The Price of an error, from the Estimate of a pilot and its Gathering. work: of patches and rows, as a multiple of the
-    pilot's; spent: (seconds that grow with it, all others); rate: seconds that a gather ray takes at every point."""
+    pilot's; spent: (seconds that grow with it, all others); rate: seconds that a gather ray takes at every point;
+    control: seconds that its control takes more, if the error is smaller than the pilot's."""
     rays = int(gathering.rays.max(initial=0))
     more = rays_wanted(estimate, rays, error)
     points = 3e-5 * len(gathering.points) * (more > 0)  # of one more replicate [MB]
-    return Price(error, work * spent[0] + spent[1] + rate * more, memory_mb * (1 + work) / 2 + points, rays + more)
+    return Price(
+        error,
+        work * spent[0] + spent[1] + rate * more + control * (more > 0),
+        memory_mb * (1 + work) / 2 + points,
+        rays + more,
+    )

@@ -10,7 +10,18 @@ from time import perf_counter, process_time, thread_time
 
 import numpy as np
 
-from .accuracy import CROWDED, ENOUGH, MOST_RAYS, SMALL, Estimate, estimate_error, price_of, rays_by_object, rays_wanted
+from .accuracy import (
+    AIM,
+    CROWDED,
+    ENOUGH,
+    MOST_RAYS,
+    SMALL,
+    Estimate,
+    estimate_error,
+    price_of,
+    rays_by_object,
+    rays_wanted,
+)
 from .cells import LocalCells, peak_memory
 from .contacts import cut_contacts
 from .control import Control, Traced, draw_control
@@ -181,6 +192,7 @@ class _Course:
         self._places, self._round, self._solved = None, None, settings.error
         self._bounds, self._doubt, self.price = [], inf, state.price if state else ()
         self._gather_seconds, self._gather_rays = 0.0, 0
+        self._control_seconds, self._control_rays = 0.0, 0
         self.clock.lap("survey")
 
     def _surveyed(self, settings):
@@ -307,8 +319,16 @@ class _Course:
         memory = used["host_mb"] + sum(used["cells_mb"])
         work = self._row_work(errors)
         return tuple(
-            price_of(error, self.estimate, self.gathering, w, spent, rate, memory) for error, w in zip(errors, work)
+            price_of(error, self.estimate, self.gathering, w, spent, rate, self._control_price(error), memory)
+            for error, w in zip(errors, work)
         )
+
+    def _control_price(self, error):
+        """Seconds that the control will take more, if a smaller error is to be known: its doubt falls with its rays."""
+        have = self.control.rays
+        wanted = have * self.estimate.doubt / (UNSURE * (AIM * error) ** 2)
+        more = max(min(wanted, MOST_CONTROL_RAYS) - have, 0.0)
+        return more * self._control_seconds / max(self._control_rays, 1)
 
     def _row_work(self, errors):
         """What patches and rows cost at the errors, as multiples of what they do at the settings of this bake."""
@@ -332,17 +352,24 @@ class _Course:
         if self.control is None:
             return
         if self.control.under_way:
-            yield from _each(self.control.complete(), self._of_control)
+            yield from self._trace(self.control.complete())
         short = _control_rays(self.settings) - self.control.rays
         if short > 0:
-            yield from _each(self.control.trace(short), self._of_control)
+            yield from self._trace(self.control.trace(short))
         self._estimate()
         # More rays where the control itself is in doubt, as long as they help; above all before rays are spent at all
         # points against what may be chance.
         while self.estimate.doubt < HELP * self._doubt and self.control.rays < MOST_CONTROL_RAYS and self._unsure():
             self._doubt = self.estimate.doubt
-            yield from _each(self.control.trace(self.control.rays), self._of_control)
+            yield from self._trace(self.control.trace(self.control.rays))
             self._estimate()
+
+    def _trace(self, tracing):
+        """Trace rays of the control, and count what they take."""
+        begun, before = perf_counter(), self.control.rays
+        yield from _each(tracing, self._of_control)
+        self._control_seconds += perf_counter() - begun
+        self._control_rays += self.control.rays - before
 
     def _unsure(self):
         """Whether the control knows too little of what replicates share, where their noise is small enough."""
