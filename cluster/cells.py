@@ -71,7 +71,7 @@ class DaskCells(Cells):
         self._client, self._started, self._mixed = client, started, allow_mixed
         self._arrays, self._names = {}, {}
         self._waiting, self._batches, self._ready, self._done = deque(), {}, deque(), queue.SimpleQueue()
-        self._heard, self._avoided, self._lost = {}, set(), set()
+        self._heard, self._avoided, self._seen = {}, set(), set()
         self._task_seconds, self._nobody = None, None
         self._workers = {}
         self._await_workers()
@@ -227,12 +227,10 @@ class DaskCells(Cells):
         if told is None:  # the client has just lost the scheduler; whether it comes back is asked elsewhere
             return
         found = {address: worker["nthreads"] for address, worker in told.items()}
-        gone = self._workers.keys() - found.keys()
-        self.restarted += len(gone - self._lost)
-        self._lost |= gone
-        self.restarted -= len(gone & self._avoided)  # they were counted when they were given up
-        self._avoided -= gone
+        # For a moment the scheduler may not name a worker that is there: who comes back was not lost.
+        self._seen |= found.keys()
         self._workers = found
+        self._count_lost()
         self.count = sum(n for a, n in found.items() if a not in self._avoided) or 1
 
     def _mourn(self):
@@ -266,9 +264,12 @@ class DaskCells(Cells):
 
     def _avoid(self, *addresses):
         """Give no more work to workers that hang."""
-        fresh = set(addresses) - self._avoided
-        self._avoided |= fresh
-        self.restarted += len(fresh)
+        self._avoided |= set(addresses)
+        self._count_lost()
+
+    def _count_lost(self):
+        """Workers that are gone, or were given up."""
+        self.restarted = len((self._seen - self._workers.keys()) | self._avoided)
 
     def _ask_processing(self):
         with suppress(Exception):
