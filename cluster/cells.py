@@ -8,6 +8,7 @@ any time; the bits are those of cells of any other kind. Transport, encryption a
 from __future__ import annotations
 
 import queue
+import warnings
 from collections import deque
 from contextlib import suppress
 from hashlib import blake2b
@@ -68,6 +69,8 @@ class DaskCells(Cells):
 
     def __init__(self, client, started=None, allow_mixed=False):
         super().__init__()
+        # Tasks are small; what is large on purpose is sent to see how long that takes.
+        warnings.filterwarnings("ignore", "Sending large graph", UserWarning, "distributed")
         self._client, self._started, self._mixed = client, started, allow_mixed
         self._arrays, self._names = {}, {}
         self._waiting, self._batches, self._ready, self._done = deque(), {}, deque(), queue.SimpleQueue()
