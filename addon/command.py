@@ -7,6 +7,7 @@ own, `command_NAME.py`, that adds its parser and runs it.
 from __future__ import annotations
 
 import argparse
+import os
 import signal
 import sys
 
@@ -18,6 +19,7 @@ COMMANDS = (command_bake, command_cells, command_effects, command_export, comman
 
 def main(argv):
     """Run the command line `argv` (without the program's name); returns the exit code."""
+    _write_anything()
     previous = signal.signal(signal.SIGINT, signal.default_int_handler)  # Blender swallows Ctrl-C otherwise
     try:
         arguments = _parser().parse_args(argv)
@@ -30,6 +32,16 @@ def main(argv):
     finally:
         if previous is not None:  # None: a handler that is not Python's and cannot be put back
             signal.signal(signal.SIGINT, previous)
+
+
+def _write_anything():
+    """Let names be printed that the terminal's encoding lacks, and anything where there is no stream at all."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, open(os.devnull, "w"))  # noqa: SIM115
+        elif hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
 
 
 def _parser():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 from dataclasses import replace
 from functools import partial
 from time import perf_counter
@@ -15,13 +14,13 @@ from ..core.report import write_json
 from ..core.settings import SCHEDULES
 from .arguments import add_scene_options, channel, count, exposure, layers, make_options, positive, whole
 from .cluster import add_cluster_options, cells_for
-from .errors import Refused, Usage
+from .errors import Refused, Usage, told
 from .export import export_scene, kind_of
 from .files import check_writable, context_of, open_file, place_for, save_file, silent
 from .finished import finished, is_result, note, origin
 from .job import Job
-from .progress import Bar, summary
-from .scene_command import NO_SCENE, exit_code
+from .progress import Bar, say, summary
+from .scene_command import NO_SCENE, complain, exit_code
 from .state_file import Origin, state_to_go_on, write_state
 
 
@@ -98,15 +97,15 @@ def _bake_files(scenes, arguments, cells, start_seconds):
     for path in scenes:
         try:
             _bake_file(path, arguments, cells, start_seconds, several=len(scenes) > 1)
-        except (Refused, OSError) as problem:
+        except Exception as problem:
             failed += 1
-            print(f"radiosity: {path or bpy.data.filepath}: {problem}", file=sys.stderr, flush=True)
+            complain(problem, path or bpy.data.filepath)
         start_seconds = 0.0  # they are warm then
     return 1 if failed else 0
 
 
 def _bake_file(path, arguments, cells, start_seconds, several):
-    """Bake one file (None: the open one). Raises Refused or OSError with one clear line."""
+    """Bake one file (None: the open one). Raises exceptions that `told` puts in one clear line."""
     source = os.path.abspath(path or bpy.data.filepath)
     output = (
         place_for(arguments.output, source, "_radiosity.blend", several)
@@ -130,11 +129,11 @@ def _bake_file(path, arguments, cells, start_seconds, several):
         open_file(source)
     written_by = tuple(bpy.data.version)
     if arguments.keep_going and is_result():
-        print(f"{os.path.basename(source)}: is itself the result of a bake; left as it is", flush=True)
+        say(f"{os.path.basename(source)}: is itself the result of a bake; left as it is")
         return
     made_from = origin(source, arguments) if arguments.keep_going else None
     if made_from and all(os.path.exists(place) for place in (report, picture) if place) and finished(output, made_from):
-        print(f"{os.path.basename(source)}: was baked before and is unchanged; {output}", flush=True)
+        say(f"{os.path.basename(source)}: was baked before and is unchanged; {output}")
         return
     context = context_of(arguments)
     options = make_options(
@@ -187,12 +186,12 @@ def _bake_file(path, arguments, cells, start_seconds, several):
         job.close()
     if not arguments.quiet:
         for finding in job.result.survey.health:
-            print(f"{finding.object}: {finding.finding}; {finding.action}", flush=True)
+            say(f"{finding.object}: {finding.finding}; {finding.action}")
         if bpy.app.version >= (5, 0, 0) > written_by:
             new = ".".join(map(str, bpy.app.version[:2]))
-            print(f"{output} has the file format of Blender {new}: Blenders before 4.5 cannot open it", flush=True)
+            say(f"{output} has the file format of Blender {new}: Blenders before 4.5 cannot open it")
         went_on = f" after what {kept} held" if state else ""
-        print(f"{os.path.basename(source)}: {summary(job.result)}{went_on}; saved {output}", flush=True)
+        say(f"{os.path.basename(source)}: {summary(job.result)}{went_on}; saved {output}")
     if unkept:
         raise Refused(f"{unkept}; {output} is complete")
     if stopped:
@@ -222,7 +221,7 @@ def _bake_until_stopped(job, quiet, keep):
         if isinstance(problem, Refused):
             raise
         raise Refused(
-            f"{problem}; {unkept or 'what is finished is kept: the same command goes on from it'}"
+            f"{told(problem)}; {unkept or 'what is finished is kept: the same command goes on from it'}"
         ) from problem
     unkept = keep and keep(job.result.state)
     job.result = replace(job.result, state=None)  # what only a state needs is in the way of what is written

@@ -9,6 +9,7 @@ import bpy
 from ..core.layers import LAYERS
 from .export import export_scene, kind_of
 from .files import silent
+from .progress import say
 from .scene_command import exit_code, open_scene
 
 
@@ -35,4 +36,4 @@ def run_export(arguments):
     with silent():
         scale = export_scene(bpy.context, output, arguments.layer)
     if not arguments.quiet:
-        print(f"{os.path.basename(output)}: {arguments.layer} divided by {scale:.6g}", flush=True)
+        say(f"{os.path.basename(output)}: {arguments.layer} divided by {scale:.6g}")

@@ -11,6 +11,7 @@ from .arguments import change
 from .errors import Refused
 from .files import check_writable, context_of, open_file, save_file
 from .job import Job
+from .progress import say
 from .scene_command import exit_code
 from .state_file import read_state
 
@@ -59,7 +60,7 @@ def run_relight(arguments):
         told = ", ".join(
             f"{name} times {','.join(f'{f:g}' for f in dict.fromkeys(factor))}" for name, factor in arguments.set
         )
-        print(f"{os.path.basename(output)}: {told or 'as it was baked'}; no ray was cast", flush=True)
+        say(f"{os.path.basename(output)}: {told or 'as it was baked'}; no ray was cast")
 
 
 def factors_of(groups, changes):

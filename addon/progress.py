@@ -1,11 +1,17 @@
-"""The progress of a bake: a bar on a terminal, plain lines in a log."""
+"""What a command tells while it works and when it is done: a bar on a terminal, plain lines in a log.
+
+Where nobody can read it any more (a pipe that was closed, a log on a full disk), the work goes on all the same.
+"""
 
 from __future__ import annotations
 
 import sys
+from contextlib import suppress
 from time import monotonic
 
 from tqdm import tqdm
+
+from .errors import one_line
 
 PAUSE = 5.0  # seconds between the lines of a log
 
@@ -24,16 +30,24 @@ class Bar:
 
     def __exit__(self, *_):
         if self._bar:
-            self._bar.close()
+            with suppress(OSError):
+                self._bar.close()
 
     def show(self, progress):
         """Show where the bake stands; in a log only now and then."""
-        if self._bar:
-            self._bar.n = progress.done
-            self._bar.set_description_str(progress_text(progress))
-        elif not self._quiet and (progress.phase != self._phase or monotonic() - self._shown > PAUSE):
-            self._shown, self._phase = monotonic(), progress.phase
-            print(f"{100 * progress.done:3.0f} %  {progress_text(progress)}", file=sys.stderr, flush=True)
+        with suppress(OSError):
+            if self._bar:
+                self._bar.n = progress.done
+                self._bar.set_description_str(progress_text(progress))
+            elif not self._quiet and (progress.phase != self._phase or monotonic() - self._shown > PAUSE):
+                self._shown, self._phase = monotonic(), progress.phase
+                print(f"{100 * progress.done:3.0f} %  {progress_text(progress)}", file=sys.stderr, flush=True)
+
+
+def say(text):
+    """Print a line about what was done."""
+    with suppress(OSError):
+        print(one_line(text), flush=True)
 
 
 def progress_text(progress):

@@ -8,7 +8,7 @@ from functools import wraps
 
 import bpy
 
-from .errors import Refused, Usage
+from .errors import Usage, one_line, told
 from .files import check_writable, open_file
 
 NO_SCENE = "no scene: name a .blend file"
@@ -33,22 +33,26 @@ def open_scene(arguments, *outputs):
 
 
 def exit_code(command):
-    """A command that returns the exit code, and says in one line why it failed, from one that raises Usage, Refused or
-    OSError."""
+    """A command that returns the exit code, and says in one line why it failed, from one that raises exceptions."""
 
     @wraps(command)
     def run(arguments):
         try:
             return command(arguments) or 0
         except Usage as problem:
-            print(f"radiosity: {problem}", file=sys.stderr, flush=True)
+            complain(problem)
             return 2
-        except (Refused, OSError) as problem:
-            source = _named(arguments)
-            print(f"radiosity: {f'{source}: ' if source else ''}{problem}", file=sys.stderr, flush=True)
+        except Exception as problem:
+            complain(problem, _named(arguments))
             return 1
 
     return run
+
+
+def complain(problem, source=""):
+    """Say in one line on stderr why a command failed, or what went wrong with a file."""
+    source = f"{one_line(source)}: " if source else ""
+    print(f"radiosity: {source}{told(problem)}", file=sys.stderr, flush=True)
 
 
 def _named(arguments):

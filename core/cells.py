@@ -22,7 +22,7 @@ import threading
 import types
 from collections import deque
 from dataclasses import dataclass, field, replace
-from multiprocessing import connection
+from multiprocessing import connection, resource_tracker
 from time import monotonic
 
 from .kernel import Kernel
@@ -302,7 +302,7 @@ class _Process:
         self.pipe, there = context.Pipe()
         entry = {"pipe": there}
         self.process = context.Process(target=runpy.run_path, args=(BOOT, entry, "radiosity_cell"), daemon=True)
-        with _empty_main():
+        with _empty_main(), _uninterrupted():
             self.process.start()
         there.close()  # so that the pipe ends when the cell does
         self._outbox = queue.SimpleQueue()
@@ -387,6 +387,21 @@ def _empty_main():
         yield
     finally:
         sys.modules["__main__"] = main
+
+
+@contextlib.contextmanager
+def _uninterrupted():
+    """While a process is spawned, hold Ctrl-C back: the child inherits that, and would else die of it while it loads."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    # Started now, as its start would let interrupts through again.
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _survive_broken_pipes():

@@ -1,0 +1,156 @@
+"""How commands fail: the exit code, one line that says why, and nothing of the user's that is lost."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy")
+
+from cell_radiosity.addon import command_bake  # noqa: E402
+from cell_radiosity.addon.command import main  # noqa: E402
+from cell_radiosity.addon.errors import Refused, told  # noqa: E402
+from cell_radiosity.core.cells import LocalCells  # noqa: E402
+
+from blender_scenes import empty, lamp, plane  # noqa: E402
+
+RADIOSITY = [sys.executable, "-m", "cell_radiosity"]
+
+
+@pytest.fixture
+def scene(tmp_path):
+    """A small lit scene, saved."""
+    empty()
+    plane("floor", n=4)
+    plane("wall", n=3, location=(1, 0, 1), rotation_euler=(0, -np.pi / 2, 0))
+    lamp("POINT", 30.0, location=(-0.3, 0.2, 1.2))
+    return saved(tmp_path / "room.blend")
+
+
+def saved(path):
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    return path
+
+
+def failing(capfd, *argv):
+    """Exit code and the single line on stderr of a command that fails."""
+    capfd.readouterr()
+    code = main([*map(str, argv)])
+    lines = capfd.readouterr().err.strip().splitlines()
+    assert len(lines) == 1, lines
+    return code, lines[0]
+
+
+def test_what_exceptions_say():
+    """One line each; a mistake of the program says where it is, a file that fails its name."""
+    assert told(Refused("a\nb")) == "a b"
+    assert told(OSError(28, "No space left on device", "/x/y")) == "/x/y: No space left on device"
+    assert told(OSError("the cells are gone")) == "the cells are gone"
+    assert "not enough memory" in told(MemoryError())
+    try:
+        LocalCells().take([3])
+    except KeyError as problem:
+        line = told(problem)
+    assert line.startswith("KeyError: 3 (core/cells.py, line ")
+    assert "please report it" in line
+
+
+def test_a_task_that_fails_is_told_by_its_last_line(cells):
+    number = cells.submit("gather", ids=np.arange(3))
+    with pytest.raises(RuntimeError) as caught:
+        cells.take([number])
+    cells.clear()
+    line = told(caught.value)
+    assert "Traceback" not in line
+    assert "(core/" in line
+
+
+def test_what_nobody_foresaw_stops_one_scene_alone(scene, monkeypatch, capfd):
+    other = scene.with_name("other.blend")
+    shutil.copy(scene, other)
+    save, out = command_bake.save_file, scene.parent / "out"
+
+    def fail(output, source):
+        if source == str(scene):
+            raise ZeroDivisionError("by chance")
+        save(output, source)
+
+    monkeypatch.setattr(command_bake, "save_file", fail)
+    code, line = failing(capfd, "bake", scene, other, "-o", out, "--quiet")
+    assert code == 1
+    assert line.startswith(f"radiosity: {scene}: ZeroDivisionError: by chance (")
+    assert [p.name for p in out.iterdir()] == ["other_radiosity.blend"]
+
+
+def test_names_with_line_breaks_make_one_line(scene, capfd):
+    bpy.data.lights[0].name = bpy.data.objects["POINT"].name = "a\nb"
+    saved(scene)
+    assert "no mesh matches a b" in failing(capfd, "bake", scene, "--objects", "a\nb", "--quiet")[1]
+    state = scene.with_name("s")
+    assert main(["bake", str(scene), "--groups", "lamp", "--state", str(state), "--quiet"]) == 0
+    line = failing(capfd, "relight", state, "-o", scene.with_name("x.blend"), "--set", "c=2")[1]
+    assert line.endswith("there are a b")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="streams are closed as a Unix shell does")
+@pytest.mark.parametrize("streams", [">&-", "2>&-", ">&- 2>&- <&-", "2>/dev/full", "| true", "2>&1 | head -1"])
+def test_nobody_reads(scene, streams):
+    """Streams that are closed or full cost no bake."""
+    if "/dev/full" in streams and not os.path.exists("/dev/full"):
+        pytest.skip("no /dev/full here")
+    out = scene.with_name("out.blend")
+    command = " ".join([*RADIOSITY, "bake", str(scene), "-o", str(out), "--cells", "1"])
+    done = subprocess.run(
+        ["bash", "-c", f"set -o pipefail; {command} {streams}"], capture_output=True, text=True, check=True
+    )
+    assert out.exists()
+    assert "Traceback" not in done.stderr
+
+
+def test_names_that_the_terminal_cannot_show(scene):
+    out = scene.with_name("größer \U0001f4a1.blend")
+    scene = scene.rename(scene.with_name("raum \udcff.blend" if os.name == "posix" else "raum.blend"))
+    done = subprocess.run(
+        [*RADIOSITY, "bake", str(scene), "-o", str(out), "--quiet", "--cells", "1"],
+        env={**os.environ, "PYTHONIOENCODING": "ascii"}, capture_output=True, check=True,
+    )  # fmt: skip
+    assert out.exists()
+    assert done.stderr == b""
+    done = subprocess.run(
+        [*RADIOSITY, "bake", str(scene), "-o", str(out)],
+        env={**os.environ, "PYTHONIOENCODING": "ascii"}, capture_output=True, check=True,
+    )  # fmt: skip
+    assert b"points" in done.stdout
+
+
+def test_ctrl_c_before_anything_has_begun(tmp_path):
+    """Blender's module is still being loaded: nothing takes the interrupt for an error of its own."""
+    (tmp_path / "bpy.py").write_text(
+        "import os, signal, time\ntry:\n    os.kill(os.getpid(), signal.SIGINT)\n    time.sleep(20)\n"
+        "except BaseException as problem:\n    print('caught', repr(problem))\n"
+    )
+    done = subprocess.run(
+        [*RADIOSITY, "bake"], env={**os.environ, "PYTHONPATH": str(tmp_path)}, capture_output=True, text=True
+    )
+    assert done.returncode == 130
+    assert done.stderr == "radiosity: cancelled\n"
+    assert done.stdout == ""
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="Ctrl-C reaches a group of processes on Unix")
+def test_ctrl_c_does_not_reach_cells_that_load():
+    from cell_radiosity.core.cells import make_cells
+
+    with make_cells(1) as cells:
+        os.kill(cells._cells[0].process.pid, signal.SIGINT)
+        cells.start({})
+        number = cells.submit("gather", ids=np.arange(3))
+        with pytest.raises(RuntimeError):  # it answers: without arrays there is nothing to gather
+            cells.take([number])
+        assert cells.restarted == 0
