@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from time import perf_counter
 
@@ -16,7 +16,7 @@ from .arguments import add_scene_options, channel, count, exposure, layers, make
 from .cluster import add_cluster_options, cells_for
 from .errors import Refused, Usage, told
 from .export import export_scene, kind_of
-from .files import check_writable, context_of, open_file, place_for, save_file, silent
+from .files import check_outputs, context_of, open_file, place_for, same_file, save_file, silent
 from .finished import finished, is_result, note, origin
 from .job import Job
 from .progress import Bar, say, summary
@@ -80,59 +80,100 @@ def add(commands):
     maps.add_argument("--image", choices=("exr", "png"), default="exr", help="32-bit floats, or 16 bits times a scale")
 
 
+@dataclass(frozen=True)
+class Places:
+    """The files of one bake, as absolute paths or None: the source is read, the state read and written, the others are
+    written. opened: whether the source is open already."""
+
+    source: str
+    opened: bool
+    output: str
+    report: str | None
+    picture: str | None
+    export: str | None
+    state: str | None
+
+    @classmethod
+    def of(cls, path, arguments, several):
+        """Those of a scene (None: the open one) of a command line, one of several or not."""
+        source = os.path.abspath(bpy.data.filepath if path is None else path)
+        output = place_for(arguments.output, source, "_radiosity.blend", several)
+        return cls(
+            source=source,
+            opened=path is None,
+            output=output or os.path.splitext(source)[0] + "_radiosity.blend",
+            report=place_for(arguments.report, source, ".json", several),
+            picture=place_for(arguments.picture, source, ".png", several),
+            export=place_for(arguments.export, source, ".glb", several),
+            state=place_for(arguments.state, source, ".npz", several),
+        )
+
+    @property
+    def written(self):
+        """All that are written."""
+        return [p for p in (self.output, self.report, self.picture, self.export, self.state) if p]
+
+    def check(self, before, others):
+        """Raise Refused if what is written cannot be, or would overwrite what is read (that the output may be the source is
+        the user's word), what was written for the Places baked before, or the source of others."""
+        check_outputs(self.written, inputs=() if same_file(self.output, self.source) else (self.source,))
+        for path in self.written:
+            for other in before:
+                if any(same_file(path, p) for p in other.written):
+                    raise Refused(f"cannot write {path}: {other.source} is baked to it; rename one of the two scenes")
+            if any(same_file(path, other.source) for other in others):
+                raise Refused(
+                    f"cannot write {path}: it is one of the scenes to bake; name a folder with -o, or bake it alone"
+                )
+
+
 @exit_code
 def run_bake(arguments):
     """Bake every scene of the command line; returns the exit code."""
-    scenes = arguments.scenes or [None]
-    if scenes == [None] and not bpy.data.filepath:
+    if not arguments.scenes and not bpy.data.filepath:
         raise Usage(NO_SCENE)
+    scenes = [Places.of(path, arguments, len(arguments.scenes) > 1) for path in arguments.scenes or [None]]
     begun = perf_counter()
     with cells_for(arguments, arguments.cells) as cells:
         return _bake_files(scenes, arguments, cells, perf_counter() - begun)
 
 
 def _bake_files(scenes, arguments, cells, start_seconds):
-    """Bake files one after another with the same cells; returns the exit code. One that fails does not stop the others."""
+    """Bake files (Places) one after another with the same cells; returns the exit code. One that fails does not stop the
+    others."""
     failed = 0
-    for path in scenes:
+    for number, places in enumerate(scenes):
         try:
-            _bake_file(path, arguments, cells, start_seconds, several=len(scenes) > 1)
+            # To keep going, results among the scenes are written, not baked.
+            others = () if arguments.keep_going else (*scenes[:number], *scenes[number + 1 :])
+            places.check(scenes[:number], others)
+            _bake_file(places, arguments, cells, start_seconds)
         except Exception as problem:
             failed += 1
-            complain(problem, path or bpy.data.filepath)
+            complain(problem, places.source)
         start_seconds = 0.0  # they are warm then
     return 1 if failed else 0
 
 
-def _bake_file(path, arguments, cells, start_seconds, several):
-    """Bake one file (None: the open one). Raises exceptions that `told` puts in one clear line."""
-    source = os.path.abspath(path or bpy.data.filepath)
-    output = (
-        place_for(arguments.output, source, "_radiosity.blend", several)
-        or source[: -len(".blend")] + "_radiosity.blend"
-    )
-    report = place_for(arguments.report, source, ".json", several)
-    picture = place_for(arguments.picture, source, ".png", several)
-    kept = place_for(arguments.state, source, ".npz", several)
+def _bake_file(places, arguments, cells, start_seconds):
+    """Bake one file. Raises exceptions that `told` puts in one clear line."""
+    source, output, kept = places.source, places.output, places.state
     if kept and arguments.schedule == "paper":
         raise Refused("--state: the paper's schedule keeps no rows to go on from; leave out one of the two")
     if arguments.target == "lightmap" and arguments.mesh == "subdivide":
         raise Refused("--mesh subdivide is for vertex colors: a lightmap needs no finer mesh; leave out one of the two")
-    export = place_for(arguments.export, source, ".glb", several)
-    if export:
-        kind_of(export)
+    if places.export:
+        kind_of(places.export)
         if arguments.target == "lightmap":
             raise Refused("--export writes vertex colors: leave out --target lightmap")
-    for place in (output, report, picture, export, kept):
-        check_writable(place)
-    if path:
+    if not places.opened:
         open_file(source)
     written_by = tuple(bpy.data.version)
     if arguments.keep_going and is_result():
         say(f"{os.path.basename(source)}: is itself the result of a bake; left as it is")
         return
     made_from = origin(source, arguments) if arguments.keep_going else None
-    if made_from and all(os.path.exists(place) for place in (report, picture) if place) and finished(output, made_from):
+    if made_from and all(map(os.path.exists, places.written)) and finished(output, made_from):
         say(f"{os.path.basename(source)}: was baked before and is unchanged; {output}")
         return
     context = context_of(arguments)
@@ -173,15 +214,15 @@ def _bake_file(path, arguments, cells, start_seconds, several):
         if made_from and not stopped:
             note(made_from)
         save_file(output, source)
-        if export:
+        if places.export:
             with silent():
-                export_scene(context, export, arguments.layers[0])
-        if picture:
+                export_scene(context, places.export, arguments.layers[0])
+        if places.picture:
             from .picture import save_picture
 
-            save_picture(context, job.result, picture, job.output.picture(job.result))
-        if report:
-            write_json(job.report(source), report)
+            save_picture(context, job.result, places.picture, job.output.picture(job.result))
+        if places.report:
+            write_json(job.report(source), places.report)
     finally:
         job.close()
     if not arguments.quiet:

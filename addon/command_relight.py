@@ -9,7 +9,7 @@ import numpy as np
 from ..core.cells import LocalCells
 from .arguments import change
 from .errors import Refused
-from .files import check_writable, context_of, open_file, save_file
+from .files import check_outputs, context_of, open_file, save_file
 from .job import Job
 from .progress import say
 from .scene_command import exit_code
@@ -36,7 +36,7 @@ def add(commands):
 def run_relight(arguments):
     """Write the scene of a state with other strengths of its lights."""
     output = os.path.abspath(arguments.output)
-    check_writable(output)
+    check_outputs([output], inputs=[arguments.state])
     state, origin = read_state(arguments.state)
     try:
         factors = factors_of(state.groups, arguments.set)

@@ -20,10 +20,25 @@ def place_for(given, source, suffix, several):
     return os.path.join(os.path.abspath(given), Path(source).stem + suffix) if several else os.path.abspath(given)
 
 
+def check_outputs(outputs, inputs=()):
+    """Make the folders of outputs (paths or None). Raises Refused if one cannot be written, is also another one, or would
+    overwrite one of the inputs."""
+    outputs = [path for path in outputs if path]
+    for number, path in enumerate(outputs):
+        if any(same_file(path, other) for other in outputs[:number]):
+            raise Refused(f"cannot write {path}: it is asked for as two things at once; name two files")
+        if any(same_file(path, other) for other in inputs):
+            raise Refused(f"cannot write {path}: it is read too, and would be lost; name another file")
+        check_writable(path)
+
+
+def same_file(path, other):
+    """Whether two paths lead to one file."""
+    return os.path.normcase(os.path.realpath(path)) == os.path.normcase(os.path.realpath(other))
+
+
 def check_writable(path):
     """Make the folder of an output, and raise Refused if nothing can be written there."""
-    if path is None:
-        return
     folder = os.path.dirname(path)
     try:
         os.makedirs(folder, exist_ok=True)

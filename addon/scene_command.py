@@ -9,7 +9,7 @@ from functools import wraps
 import bpy
 
 from .errors import Usage, one_line, told
-from .files import check_writable, open_file
+from .files import check_outputs, open_file
 
 NO_SCENE = "no scene: name a .blend file"
 
@@ -25,11 +25,11 @@ def open_scene(arguments, *outputs):
     source = _named(arguments)
     if not source:
         raise Usage(NO_SCENE)
-    for path in outputs:
-        check_writable(path and os.path.abspath(path))
+    source = os.path.abspath(source)
+    check_outputs([path and os.path.abspath(path) for path in outputs], inputs=[source])
     if arguments.scene_file:
-        open_file(os.path.abspath(source))
-    return os.path.abspath(source)
+        open_file(source)
+    return source
 
 
 def exit_code(command):
@@ -57,4 +57,6 @@ def complain(problem, source=""):
 
 def _named(arguments):
     """The file that a command line names, or the open one; "" for a command on several files."""
-    return arguments.scene_file or bpy.data.filepath if "scene_file" in arguments else ""
+    if "scene_file" not in arguments:
+        return ""
+    return bpy.data.filepath if arguments.scene_file is None else arguments.scene_file

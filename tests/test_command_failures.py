@@ -154,3 +154,81 @@ def test_ctrl_c_does_not_reach_cells_that_load():
         with pytest.raises(RuntimeError):  # it answers: without arrays there is nothing to gather
             cells.take([number])
         assert cells.restarted == 0
+
+
+def asked_for_wrongly(folder, scene):
+    """Command lines whose outputs are in the way of one another or of what they read, and words of the complaint."""
+    lit, state = folder / "lit.blend", folder / "s"
+    yield ["bake", scene, "-o", lit, "--report", scene], "it is read too"
+    yield ["bake", scene, "-o", lit, "--picture", folder / "." / scene.name], "it is read too"
+    yield ["bake", scene, "-o", lit, "--state", scene], "it is read too"
+    yield ["bake", scene, "-o", lit, "--report", lit], "two things at once"
+    yield ["bake", scene, "-o", scene, "--picture", scene], "two things at once"
+    yield ["bake", scene, "--state", folder / "room_radiosity.blend"], "two things at once"
+    yield ["bake", scene, "--report", folder / "x", "--picture", folder / "x"], "two things at once"
+    yield ["price", scene, "--report", scene], "it is read too"
+    yield ["price", scene, "--plot", scene], "it is read too"
+    yield ["price", scene, "--plot", folder / "p.png", "--report", folder / "p.png"], "two things at once"
+    yield ["effects", scene, "--report", scene], "it is read too"
+    yield ["relight", state, "-o", state], "it is read too"
+
+
+def contents(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+
+
+def test_nothing_that_is_read_is_overwritten(scene, capfd):
+    folder = scene.parent
+    assert main(["bake", str(scene), "--groups", "lamp", "--state", str(folder / "s"), "--quiet"]) == 0
+    os.remove(folder / "room_radiosity.blend")
+    before = contents(folder)
+    for argv, words in asked_for_wrongly(folder, scene):
+        code, line = failing(capfd, *argv)
+        assert code == 1
+        assert words in line
+        assert contents(folder) == before
+
+
+def test_an_output_that_is_the_input_is_taken_at_its_word(scene):
+    assert main(["bake", str(scene), "-o", str(scene), "--quiet"]) == 0
+    bpy.ops.wm.open_mainfile(filepath=str(scene))
+    assert "Radiosity" in bpy.data.objects["floor"].data.color_attributes
+
+
+def test_scenes_that_would_share_an_output(scene, capfd):
+    """The first keeps it; a scene that another one would be baked to is not overwritten."""
+    folder, out = scene.parent, scene.parent / "out"
+    (folder / "b").mkdir()
+    twin = folder / "b" / "room.blend"
+    shutil.copy(scene, twin)
+    code, line = failing(capfd, "bake", scene, twin, "-o", out, "--quiet")
+    assert code == 1
+    assert f"{twin}: cannot write {out / 'room_radiosity.blend'}: {scene} is baked to it" in line
+    shutil.copy(scene, folder / "room_radiosity.blend")
+    before = contents(folder)
+    for order in (1, -1):
+        scenes = (scene, folder / "room_radiosity.blend")[::order]
+        code, line = failing(capfd, "bake", *scenes, "--quiet")
+        assert f"{scene}: cannot write {folder / 'room_radiosity.blend'}: it is one of the scenes to bake" in line
+        assert {**contents(folder), **before} == contents(folder)
+        os.remove(folder / "room_radiosity_radiosity.blend")
+
+
+@pytest.mark.parametrize("name", ["room", "room.blend1", "room.v2.blend", "room.BLEND", ".blend"])
+def test_the_name_of_the_output_is_that_of_the_scene(scene, name):
+    folder = scene.parent / "here"
+    folder.mkdir()
+    shutil.copy(scene, folder / name)
+    assert main(["bake", str(folder / name), "--quiet"]) == 0
+    stem = name.removesuffix(".blend1").removesuffix(".BLEND")
+    stem = stem if name == ".blend" else stem.removesuffix(".blend")
+    assert {p.name for p in folder.iterdir()} == {name, f"{stem}_radiosity.blend"}
+    assert list(scene.parent.glob("*_radiosity.blend")) == []
+
+
+@pytest.mark.parametrize("command", ["bake", "price", "effects"])
+def test_no_name_is_no_scene(command, capfd):
+    """As a shell gives it whose variable is not set: the file that is open is not meant."""
+    code, line = failing(capfd, command, "")
+    assert code in (1, 2)
+    assert "no such file" in line or "no scene" in line
