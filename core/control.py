@@ -21,7 +21,7 @@ from .vectors import ratio
 
 CONTROL = 6  # salt of the sample sequences
 APART = 1 << 20  # seeds of control points are so far from those of the gather, in replicates
-DIRECT_TESTS = 64  # test rays to every source, at most
+DIRECT_TESTS, FEWEST_TESTS = 64, 8  # test rays to a source that gives all light, and to one that gives next to none
 
 
 @dataclass(frozen=True)
@@ -138,26 +138,29 @@ def _samples(ids, rays, seed):
 
 
 def _direct(kernel, ids, tests, seed):
-    """(C, K) light of the sampled sources at points ids (K,), from so many test rays to each [W/m^2]."""
+    """(C, K) light of the sampled sources at points ids (K,) [W/m^2], from many test rays: `tests` to one that gives all, and
+    fewer to those that give less."""
     sources, points = kernel.sources, kernel.points
     light = np.zeros((sources.strength.shape[1], len(ids)))
     if not len(sources):
         return light
-    number = np.arange(tests)
-    owner = np.repeat(np.arange(len(ids)), tests)
     position, normal, geometric = points.position[ids], points.normal[ids], points.geometric[ids]
     start = kernel.caster.start(position, geometric)
+    factor = [unoccluded(sources, s, position, normal) for s in range(len(sources))]
+    given = np.array([f.sum() * sources.strength[s].max() for s, f in enumerate(factor)])
+    share = np.sqrt(given / max(given.sum(), 1e-300))
     for s in range(len(sources)):
-        factor = unoccluded(sources, s, position, normal)
         if not kernel.occluded and (normal == geometric).all():
-            light += sources.strength[s][:, None] * factor
+            light += sources.strength[s][:, None] * factor[s]
             continue
+        count = max(int(np.ceil(tests * share[s])), FEWEST_TESTS)
+        owner, number = np.repeat(np.arange(len(ids)), count), np.arange(count)
         shift = scatter(ids.astype(np.int64)[:, None] * 2 + np.arange(2) + (s << 40), CONTROL + 8 * seed)
         a, b = ((number * R2[k] + shift[:, k, None]) % 1.0 for k in range(2))
         each = (x[owner] for x in (position, normal, geometric, start))
         weight, seen = test_rays(sources, s, kernel.caster, *each, a.reshape(-1), b.reshape(-1))
-        share = ratio(*(np.einsum("kn->k", x.reshape(-1, tests)) for x in (seen, weight)))
-        light += sources.strength[s][:, None] * factor * share
+        visible = ratio(*(np.einsum("kn->k", x.reshape(-1, count)) for x in (seen, weight)))
+        light += sources.strength[s][:, None] * factor[s] * visible
     return light
 
 
