@@ -8,11 +8,16 @@ from ..core.layers import LAYERS
 from ..core.settings import EFFECTS, PRESETS
 from .job import Options
 
+LAST_FRAME = 1048574  # Blender's own limit
+MOST_CELLS = 1024
+MOST_PADDING = 1024
+MOST_FACTOR = 1e30  # of a light's strength
+
 
 def percent(text):
     """A relative error from a command line: "2%" and "2" are 0.02; below 0.05 the sign must be there."""
     try:
-        value = float(text.rstrip("%"))
+        value = float(text.removesuffix("%"))
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text!r} is not a percentage, like 2%") from None
     if not 0 < value <= 100:
@@ -50,7 +55,7 @@ def patch_edge(text):
         value = float(text)
     except ValueError:
         value = 0.0
-    if not value > 0:
+    if not 0 < value < float("inf"):
         raise argparse.ArgumentTypeError(f"{text!r} is neither a length in meters nor 'mesh'")
     return value
 
@@ -83,9 +88,9 @@ def change(text):
         values = tuple(float(part) for part in factors.split(","))
     except ValueError:
         values = ()
-    if not name or len(values) not in (1, 3) or not all(0 <= value < float("inf") for value in values):
+    if not name or len(values) not in (1, 3) or not all(0 <= value <= MOST_FACTOR for value in values):
         raise argparse.ArgumentTypeError(
-            f"{text!r} is not a name and one or three factors, like Lamp=2 or Lamp=1,0.5,0"
+            f"{text!r} is not a name and one or three factors from 0 to {MOST_FACTOR:g}, like Lamp=2 or Lamp=1,0.5,0"
         )
     return name, values * (3 // len(values))
 
@@ -101,11 +106,23 @@ def positive(text):
     return value
 
 
-def whole(text):
-    """A whole number, 1 or more."""
-    if not text.isdigit() or not int(text):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number above 0")
-    return int(text)
+def whole(text, most=10**9):
+    """A whole number from 1 to `most`."""
+    value = int(text) if text.isdecimal() and len(text) < 20 else 0
+    if not 1 <= value <= most:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number from 1 to {most}")
+    return value
+
+
+def frame(text):
+    """A frame that Blender has."""
+    try:
+        value = int(text)
+    except ValueError:
+        value = LAST_FRAME + 1
+    if abs(value) > LAST_FRAME:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a frame from -{LAST_FRAME} to {LAST_FRAME}")
+    return value
 
 
 def seconds(text):
@@ -121,10 +138,13 @@ def seconds(text):
 
 
 def count(text):
-    """A number of cells, 1 or more."""
-    if not text.isdigit() or not int(text):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a number of cells")
-    return int(text)
+    """A number of cells, each of which is a process of its own."""
+    return whole(text, MOST_CELLS)
+
+
+def padding(text):
+    """Texels between the charts of a lightmap."""
+    return whole(text, MOST_PADDING)
 
 
 def memory(text):
@@ -134,7 +154,7 @@ def memory(text):
         value = float(text[:-1]) * units[text[-1].upper()] if text[-1:].upper() in units else float(text)
     except ValueError:
         value = 0.0
-    if not value >= 1e7:
+    if not 1e7 <= value < float("inf"):
         raise argparse.ArgumentTypeError(f"{text!r} is not an amount of memory of 10M or more, like 2G")
     return value
 
@@ -157,7 +177,7 @@ def add_scene_options(parser):
     )
     parser.add_argument("--memory", type=memory, default=0.0, metavar="2G", help="memory that may be used")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of all samples")
-    parser.add_argument("--frame", type=int, metavar="N", help="take this frame")
+    parser.add_argument("--frame", type=frame, metavar="N", help="take this frame")
     parser.add_argument("--scene", metavar="NAME", help="take this scene of the file")
     parser.add_argument("--quiet", action="store_true", help="no progress")
 

@@ -12,7 +12,7 @@ import bpy
 from ..core.layers import LAYERS
 from ..core.report import write_json
 from ..core.settings import SCHEDULES
-from .arguments import add_scene_options, channel, count, exposure, layers, make_options, positive, whole
+from .arguments import add_scene_options, channel, count, exposure, layers, make_options, padding, positive, whole
 from .cluster import add_cluster_options, cells_for
 from .errors import Refused, Usage, told
 from .export import export_scene, kind_of
@@ -76,7 +76,7 @@ def add(commands):
     maps.add_argument(
         "--atlas", choices=("object", "scene"), default="object", help="an image for each, or one for all"
     )
-    maps.add_argument("--padding", type=whole, default=2, metavar="N", help="texels between charts (default: 2)")
+    maps.add_argument("--padding", type=padding, default=2, metavar="N", help="texels between charts (default: 2)")
     maps.add_argument("--image", choices=("exr", "png"), default="exr", help="32-bit floats, or 16 bits times a scale")
 
 

@@ -8,13 +8,14 @@ import sys
 from contextlib import nullcontext
 
 from ..core.experiment import as_dictionary, convergence, convergence_table, experiment, law_of, table
+from ..core.health import mend
 from ..core.report import write_json
 from ..core.settings import SCHEDULES
 from .arguments import add_scene_options, count, make_options
 from .cluster import add_cluster_options, cells_for
 from .errors import Usage
 from .files import context_of
-from .job import default_cells, wanted_by
+from .job import check_scene, default_cells, wanted_by
 from .plots import plot_cells, pyplot
 from .read_scene import read_scene
 from .scene_command import add_scene_file, exit_code, open_scene
@@ -45,8 +46,10 @@ def run_cells(arguments):
     if arguments.plot:
         pyplot()
     source = open_scene(arguments, arguments.report, arguments.plot)
-    scene, _ = read_scene(context_of(arguments), wanted_by(arguments.objects))
-    settings = make_options(arguments).settings(scene)
+    scene, targets = read_scene(context_of(arguments), wanted_by(arguments.objects))
+    options, scene = make_options(arguments), mend(scene)
+    check_scene(scene, targets, options)
+    settings = options.settings(scene)
     with cells_for(arguments) if arguments.cluster else nullcontext() as joined:
         cores = joined.count if joined else default_cells()
         counts = arguments.counts or tuple(n for n in (1, 2, 4, 8, 16, 32, 64) if n < cores and not joined) + (cores,)

@@ -9,12 +9,13 @@ import numpy as np
 
 from ..core.bake import PRICED, bake, price, run
 from ..core.compare import off_finer, off_reference
+from ..core.health import mend
 from ..core.report import price_row, write_json
 from .arguments import add_scene_options, count, make_options, percent
 from .cluster import add_cluster_options, cells_for
-from .errors import Refused
+from .errors import Refused, told
 from .files import context_of
-from .job import wanted_by
+from .job import check_scene, wanted_by
 from .plots import plot_price, pyplot
 from .progress import Bar
 from .read_scene import read_scene
@@ -47,9 +48,8 @@ def run_price(arguments):
     reference = _open_reference(arguments.reference)
     source = open_scene(arguments, arguments.report, arguments.plot)
     scene, targets = read_scene(context_of(arguments), wanted_by(arguments.objects))
-    if not targets:
-        raise Refused("there is nothing to bake")
-    options = make_options(arguments)
+    options, scene = make_options(arguments), mend(scene)
+    check_scene(scene, targets, options)
     settings = options.settings(scene)
     with cells_for(arguments, arguments.cells) as cells, Bar(quiet=arguments.quiet) as bar:
         prices = run(price(scene, settings, cells, arguments.errors), bar.show)
@@ -81,9 +81,12 @@ def _open_reference(path):
     if path is None:
         return None
     try:
-        return dict(np.load(path))
-    except (OSError, ValueError) as problem:
-        raise Refused(f"cannot read {path}: {problem}") from None
+        with np.load(path) as file:
+            return dict(file)
+    except OSError as problem:
+        raise Refused(f"cannot read {told(problem)}") from None
+    except Exception:  # whatever numpy and zipfile make of it
+        raise Refused(f"cannot read {path}: it is not a file of arrays (.npz), or is damaged") from None
 
 
 def _measured(scene, options, prices, cells, reference, bar):
@@ -98,7 +101,10 @@ def _measured(scene, options, prices, cells, reference, bar):
     for p, found in zip(prices, baked):
         seconds = sum(found.seconds[phase] for phase in ("survey", "patches", "transport", "gather"))
         if reference is not None:
-            off = off_reference(found, reference)
+            try:
+                off = off_reference(found, reference)
+            except (KeyError, ValueError):  # arrays that are not there, or of another size
+                raise Refused("the reference does not fit: it is of another scene, or another kind of file") from None
         else:
             off = None if found is finest else off_finer(found, finest)
         rows.append(price_row(p, float(seconds), off))

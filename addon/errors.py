@@ -20,6 +20,12 @@ class Usage(Exception):
     """The command line asks for what cannot be had."""
 
 
+def check_memory(needed, budget, what):
+    """Raise Refused if what is needed is more than the budget [bytes]. what: there is, and what would be less."""
+    if needed > budget:
+        raise Refused(f"{what}, or a --memory of {needed / 1e9:.3g}G instead of {budget / 1e9:.3g}G, would do")
+
+
 def told(problem):
     """What an exception says, in one line: of one that nobody foresaw also where it was raised."""
     if isinstance(problem, (Refused, Usage)):

@@ -17,6 +17,7 @@ from .marks import KEY, is_made, mark
 
 SUFFIX = {"exr": ".exr", "png": ".png", "byte": ".png"}
 DEEPEST = 65535  # of a 16-bit number
+BRIGHTEST = float(np.finfo(np.float32).max)  # that Blender's numbers hold
 
 
 def make_image(name, pixels, path=None, kind="exr"):
@@ -37,7 +38,7 @@ def make_image(name, pixels, path=None, kind="exr"):
     # Light is taken as it is, whatever the working space.
     image.colorspace_settings.name = "sRGB" if kind == "byte" else "Non-Color"
     rgba = np.ones((height, width, 4), np.float32)
-    rgba[..., :3] = pixels
+    rgba[..., :3] = np.minimum(pixels, BRIGHTEST)
     image.pixels.foreach_set(rgba.reshape(-1))
     if path is None:
         image.pack()

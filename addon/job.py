@@ -13,16 +13,19 @@ from ..core.cells import make_cells
 from ..core.effects import survey
 from ..core.health import mend
 from ..core.lights import emitting_polygons
+from ..core.patches import count_patches, patch_size
 from ..core.report import make_report
 from ..core.settings import Settings
 from ..core.state import StateError
-from .errors import Refused
+from .errors import Refused, check_memory
 from .outputs import found_layers, grouping, make_output
-from .read_scene import reading_scene
+from .read_scene import NOT_WRITTEN, reading_scene
 from .steps import aside
 from .version import version
 
 NOTHING = ("",)  # objects that no name fits: a bake of them is refused
+LEAST_EDGE, MOST_EDGE = 1e-7, 1e3  # of a patch, as a share of the scene's focus: what is beyond cuts no other way
+PATCH_BYTES = 2000  # that a patch takes in host and cells
 
 
 @dataclass(frozen=True)
@@ -91,14 +94,20 @@ class Options:
             force=self.force,
             schedule=self.schedule,
             rows=self.rows or ("analytic" if self.schedule == "paper" else "rays"),
-            memory=self.memory or default_memory(),
+            memory=self.budget,
             occlusion=self.occlusion_distance if "Occlusion" in self.layers else None,
         )
         if self.max_patch == "mesh":
             return replace(settings, patch_edge=None)
         if self.max_patch is not None:
-            return replace(settings, patch_edge=self.max_patch / max(scene.focus, 1e-300), graded=False)
+            share = self.max_patch / max(scene.focus, 1e-300)
+            return replace(settings, patch_edge=min(max(share, LEAST_EDGE), MOST_EDGE), graded=False)
         return settings
+
+    @property
+    def budget(self):
+        """Memory that may be used [bytes]."""
+        return self.memory or default_memory()
 
 
 def default_cells():
@@ -128,6 +137,26 @@ def default_memory():
 def wanted_by(patterns):
     """A function of a name, whether one of the patterns (names or globs) fits it; None if there are none."""
     return (lambda name: any(fnmatchcase(name, p) for p in patterns)) if patterns else None
+
+
+def check_scene(scene, targets, options):
+    """Raise Refused if a bake of a Scene (mended) with Options is of no use or cannot be. targets: that can be written."""
+    if not len(scene.triangles):
+        raise Refused("there is no mesh to bake: no visible object with faces")
+    if not scene.usable.any():
+        raise Refused("there is no mesh to bake: no face has an area")
+    if not targets:
+        left = next((f for f in scene.health if f.action.startswith(NOT_WRITTEN)), None)
+        if left:
+            raise Refused(f"there is nothing to write to: {left.object}: {left.finding}; {left.action}")
+        names = f"no mesh matches {', '.join(options.objects)}"
+        raise Refused(f"there is nothing to write to: {names if options.objects else 'no mesh object of its own'}")
+    if not (scene.lamps or len(emitting_polygons(scene)) or scene.world.brightest > 0):
+        raise Refused("nothing gives light: add a lamp, an emitting material or a world color")
+    if options.max_patch not in (None, "mesh"):
+        (count,) = count_patches(scene, [patch_size(scene, options.settings(scene))])
+        what = f"cut to {options.max_patch:g} m, the scene is {count:.3g} patches; longer ones"
+        check_memory(PATCH_BYTES * count, options.budget, what)
 
 
 class Job:
@@ -162,18 +191,9 @@ class Job:
         self.scene, self.targets = yield from reading_scene(
             context, wanted_by(patterns), self.options.shared, step=step
         )
-        if not len(self.scene.triangles):
-            raise Refused("there is no mesh to bake: no visible object with faces")
         self.scene = yield from aside(step, mend, self.scene)
         self._refuse(self.scene.health)
-        if not self.scene.usable.any():
-            raise Refused("there is no mesh to bake: no face has an area")
-        if not self.targets:
-            what = f"no mesh matches {', '.join(patterns)}" if patterns else "no mesh of this file can be written"
-            raise Refused(f"there is nothing to write to: {what}")
-        emits = len(emitting_polygons(self.scene)) > 0
-        if not (self.scene.lamps or emits or self.scene.world.brightest > 0):
-            raise Refused("nothing gives light: add a lamp, an emitting material or a world color")
+        check_scene(self.scene, self.targets, self.options)
         self.output.read(context, self.scene, self.targets)
         self._group_of = grouping(context, self.options)
         self._read_seconds = perf_counter() - begun

@@ -22,8 +22,8 @@ from ..core.raycast import RayCaster
 from ..core.records import from_arrays, to_arrays
 from ..core.remesh import Remesh, triangulated
 from ..core.state import ANEW
-from ..core.subdivide import Fitting, fit_mesh, remeshed
-from .errors import Refused
+from ..core.subdivide import Fitting, fit_mesh, longest_edge, remeshed
+from .errors import Refused, check_memory
 from .images import image_path, make_image
 from .remesh import carry_groups, groups_of, make_mesh, piece_of
 from .shown import forget_others, show
@@ -32,6 +32,7 @@ from .write_result import check_names, copy_with, result_copies, source_mesh, sr
 UV_MAP = "Lightmap"
 EXPOSURE = "cell_radiosity_exposure"  # property of a mesh or image: the light was multiplied by 2 to this
 MOST_UV_MAPS = 8
+TEXEL_BYTES, PIXEL_BYTES = 700, 100  # that a texel with surface takes in host and cells, and a pixel of an image
 
 
 class VertexColors:
@@ -111,6 +112,11 @@ class FinerColors(VertexColors):
             return remeshed(scene, self.remesh), from_arrays(Points, "points", kept), kept
         fitting = Fitting.for_scene(scene, o.max_edge, o.min_edge, o.contrast, o.vertices)
         finer, points, self.remesh = yield from fit_mesh(scene, fitting, flipped, cells, light)
+        longest = longest_edge(finer)
+        if longest > fitting.max_edge * (1 + 1e-6):
+            text = f"edges of {longest:.3g} m are left, longer than {fitting.max_edge:.3g} m"
+            action = f"{fitting.vertices:.0f} vertices were the most there might be; --vertices sets another limit"
+            self.findings = (Finding("subdivision", text, action),)
         return finer, points, {**to_arrays("points", points), **to_arrays("remesh", self.remesh)}
 
     def preview(self, bake):
@@ -208,6 +214,9 @@ class Lightmaps:
                 self.atlas = read_atlas(scene, self._uv, **layout)
         except (NoUnwrapper, ValueError) as problem:
             raise Refused(str(problem)) from None
+        needed = TEXEL_BYTES * self.atlas.texels + PIXEL_BYTES * float(self.atlas.size.prod(axis=1).sum())
+        what = f"the lightmaps have some {self.atlas.texels:.3g} texels of surface; fewer --texels-per-meter, a smaller --size"
+        check_memory(needed, o.budget, what)
         if kept:
             if not np.array_equal(self.atlas.place, kept["atlas.place"]):
                 raise Refused(f"the UV map {o.uv!r} is not what it was in the state file: {ANEW}")

@@ -27,6 +27,7 @@ from .materials import NotConstant, read_alpha, read_material, read_pixels, view
 from .steps import aside
 from .world_read import read_world
 
+NOT_WRITTEN = "its light was not written"
 SOLID = {"MESH", "CURVE", "SURFACE", "META", "FONT"}
 
 
@@ -218,7 +219,7 @@ class _Shape:
 
 def mirrored(matrix):
     """Whether a world matrix (4, 4) turns left into right."""
-    return bool(np.linalg.det(matrix[:3, :3]) < 0)
+    return bool(np.isfinite(matrix).all() and np.linalg.det(matrix[:3, :3]) < 0)
 
 
 def _cofactor(m):
@@ -396,13 +397,11 @@ def _hidden(scene, depsgraph, rendered):
 def _writable(object, users, health):
     """Whether an object's light can be written; if not, `health` says why."""
     if object.library or not object.data.is_editable:
-        action = "its light was not written: make it local, or override it, to bake it"
+        action = f"{NOT_WRITTEN}: make it local, or override it, to bake it"
         health.append(Finding(object.name, "its mesh is linked from another file", action))
         return False
     if users[object.data] > 1:
         text = f"its mesh is shared by {users[object.data]} objects"
-        health.append(
-            Finding(object.name, text, "its light was not written, as asked for; --shared copy gives it its own")
-        )
+        health.append(Finding(object.name, text, f"{NOT_WRITTEN}, as asked for; --shared copy gives it its own"))
         return False
     return True

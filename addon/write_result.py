@@ -15,6 +15,7 @@ from ..core.bake import run
 from ..core.health import Finding
 from ..core.layers import vertex_means
 from .errors import Refused
+from .images import BRIGHTEST
 from .marks import KEY, hide, is_made, made_layers, mark, mark_layers, originals_shown
 
 
@@ -156,7 +157,7 @@ def _write_layer(mesh, layer, domain, values, kind="FLOAT_COLOR"):
     if domain == "POINT":
         values = vertex_means(values, _corner_vertices(mesh), len(mesh.vertices))
     rgba = np.ones((len(values), 4), np.float32)
-    rgba[:, :3] = values
+    rgba[:, :3] = np.minimum(values, BRIGHTEST)
     attribute.data.foreach_set("color", rgba.reshape(-1))
 
 

@@ -55,6 +55,11 @@ class Atlas:
     findings: tuple = ()
 
     @property
+    def texels(self):
+        """About how many texels hold surface."""
+        return float(np.abs(_signed_areas(self.place)).sum())
+
+    @property
     def uv(self):
         """(K, 3, 2) the places as shares of the images' sizes, as in a UV map."""
         return self.place / self.size[self.image][:, None]
@@ -216,8 +221,8 @@ def _pack(xatlas, flat, chart, density, size, padding, name):
     place[index] = (flat - low[chart][:, None]).reshape(-1, 2)
     area = np.abs(_signed_areas(flat)).sum()
     density = density if size is None else size * sqrt(0.9 / max(area, TINY))
-    if size is None:
-        _limited(density * sqrt(area), density * sqrt(area), name)
+    side = size or density * sqrt(area)
+    _limited(side, side, name)
     for _ in range(200):
         atlas = xatlas.Atlas()
         atlas.add_uv_mesh(place, index.reshape(-1, 3).astype(np.uint32), chart[:, None].astype(np.uint32))
@@ -228,6 +233,10 @@ def _pack(xatlas, flat, chart, density, size, padding, name):
         if size is None or atlas.atlas_count == 1:
             break
         density *= 0.95
+    if atlas.atlas_count > 1:
+        raise ValueError(
+            f"{name}: its charts do not fit into {size} x {size} texels; ask for a larger --size, or less --padding"
+        )
     _, packed, uv = atlas[0]
     shape = _limited(size or atlas.width, size or atlas.height, name)
     return uv[packed].astype(float) * (atlas.width, atlas.height), shape
@@ -242,7 +251,8 @@ def _limited(width, height, name):
     """The size of an image; raises ValueError if it is too large."""
     if max(width, height) > LARGEST:
         raise ValueError(
-            f"{name}: its lightmap would be {int(width)} x {int(height)} texels; ask for fewer --texels-per-meter, or a --size"
+            f"{name}: its lightmap would be {int(width)} x {int(height)} texels, {LARGEST} a side are the most; ask for"
+            " fewer --texels-per-meter, or a smaller --size"
         )
     return max(int(width), 1), max(int(height), 1)
 

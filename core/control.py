@@ -96,7 +96,7 @@ def draw_control(points, light, count, per_object):
     """
     power = points.area * (light * light).sum(axis=0)
     by_object = np.bincount(points.object, points.area)
-    share = points.area / by_object[points.object] / max(np.count_nonzero(by_object), 1)
+    share = ratio(points.area, by_object[points.object]) / max(np.count_nonzero(by_object), 1)
     mixture = (0.15, 0.15, 0.7) if per_object else (0.4, 0.3, 0.3)
     density = np.zeros(len(points))
     for part, values in zip(mixture, (power, points.area, share)):
@@ -105,7 +105,8 @@ def draw_control(points, light, count, per_object):
     upto = np.cumsum(density[order])
     drawn = order[np.searchsorted(upto, (np.arange(count) + 0.5) / count * upto[-1])]
     ids, times = np.unique(drawn, return_counts=True)
-    return ids.astype(np.int32), points.area[ids] * times / (count * density[ids] / density.sum())
+    chance = count * density[ids] / max(density.sum(), 1e-300)
+    return ids.astype(np.int32), ratio(points.area[ids] * times, chance)
 
 
 def control_points(kernel, ids, rays, seed):

@@ -9,6 +9,7 @@ from .sampling import hemisphere, lattice, scatter, tangents
 from .vectors import dot
 
 RAYS = 96  # of a point
+FARTHEST = 1e6  # that a ray goes, in the caster's units, in which a scene is about 1
 TASK_POINTS = 1 << 10
 SALT = 21
 
@@ -30,7 +31,7 @@ def openness_of_points(kernel, start, stop, distance, seed):
     """{"openness": (K,)} of points start to stop, see `find_openness`."""
     points = kernel.points
     u, v = lattice(RAYS)
-    reach = np.float32(distance * kernel.caster.frame[1])
+    reach = np.float32(min(distance * kernel.caster.frame[1], FARTHEST))
     openness = np.empty(stop - start)
     for part in blocks(stop - start, RAYS):
         ids = np.arange(start, stop)[part]

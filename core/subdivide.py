@@ -11,6 +11,7 @@ Vertices are only ever added: what is known of the light at the old ones stays g
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from math import inf
 
 import numpy as np
 
@@ -24,7 +25,7 @@ WELD = 1e-6  # of the scene's diagonal: vertices closer than this are one
 
 @dataclass(frozen=True)
 class Fitting:
-    """How fine a mesh is to be. max_edge: the longest edge that is left [m]. min_edge: no edge is split that would give
+    """How fine a mesh is to be. max_edge: the longest edge that is left [m], as far as vertices allow it. min_edge: no edge is split that would give
     pieces shorter than this [m]. contrast: a triangle is split where its corners' light differs by more than this share
     of the brightest of them, or of the scene's mean if that is more. vertices: the most that there may be, as long as
     there are not more to begin with. passes: of refinement by light."""
@@ -146,14 +147,25 @@ def split(pieces, marked):
     )
 
 
-def split_long(pieces, longest):
-    """Pieces without an edge longer than `longest` [m]."""
+def split_long(pieces, longest, most=inf):
+    """Pieces without an edge longer than `longest` [m]; or with all edges split as evenly as `most` vertices allow."""
     while True:
         _, _, length, _ = pieces.edges()
         marked = length > longest * (1 + 1e-9)
-        if not marked.any():
+        if not marked.any() or len(pieces.position) + np.count_nonzero(marked) > most:
             return pieces
-        pieces = split(pieces, marked)
+        finer = split(pieces, marked)
+        if len(finer.position) > most:
+            return pieces
+        pieces = finer
+
+
+def longest_edge(scene):
+    """Length of the longest edge of the triangles of a scene's written objects [m]."""
+    written = scene.written[scene.polygon_object[scene.triangle_polygon]] & scene.solid
+    corner = scene.vertices[scene.triangles[written]]
+    edge = corner - np.roll(corner, -1, axis=1)
+    return float(np.sqrt(dot(edge, edge).max(initial=0.0)))
 
 
 def split_by_light(pieces, light, fitting, mean, room):
@@ -311,7 +323,7 @@ def fit_mesh(scene, fitting, flipped, cells, light):
     light: generator function of Points that returns their light (P,), roughly; every point is asked for once. flipped:
     (P,) bool, polygons whose back side's light is asked for. cells: started with the scene's arrays.
     """
-    pieces = split_long(whole_pieces(scene), fitting.max_edge)
+    pieces = split_long(whole_pieces(scene), fitting.max_edge, fitting.vertices)
     known = None
     for number in range(fitting.passes + 1):
         remesh, corner = make_remesh(scene, pieces)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import signal
@@ -18,7 +19,7 @@ from cell_radiosity.addon.command import main  # noqa: E402
 from cell_radiosity.addon.errors import Refused, told  # noqa: E402
 from cell_radiosity.core.cells import LocalCells  # noqa: E402
 
-from blender_scenes import empty, lamp, plane  # noqa: E402
+from blender_scenes import colors, empty, lamp, plane  # noqa: E402
 
 RADIOSITY = [sys.executable, "-m", "cell_radiosity"]
 
@@ -232,3 +233,109 @@ def test_no_name_is_no_scene(command, capfd):
     code, line = failing(capfd, command, "")
     assert code in (1, 2)
     assert "no such file" in line or "no scene" in line
+
+
+@pytest.mark.parametrize(
+    "options",
+    ["--frame 2000000", "--frame x", "--memory infG", "--memory 1e300T", "--max-patch inf", "--cells 5000", "--cells ²",
+     "--error 2%%", "--mesh subdivide --vertices 0", "--vertices " + 30 * "9", "--padding " + 20 * "9"],
+)  # fmt: skip
+def test_numbers_that_cannot_be_are_usage_errors(scene, options, capfd):
+    assert main(["bake", str(scene), *options.split()]) == 2
+    assert not scene.with_name("room_radiosity.blend").exists()
+
+
+@pytest.mark.parametrize(
+    "options",
+    ["--max-patch 1e300", "--layers Occlusion --occlusion-distance 1e300", "--layers Occlusion --occlusion-distance 1e-300",
+     "--target lightmap --size 1", "--target lightmap --size 1 --per-object", "--target lightmap --texels-per-meter 1e-9",
+     "--time 1e-300", "--error 100%", "--seed " + 30 * "9"],
+)  # fmt: skip
+def test_numbers_at_the_edge_of_sense_make_a_bake(scene, options, capfd):
+    assert main(["bake", str(scene), "--quiet", *options.split()]) == 0
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [("--max-patch 1e-300", "patches"), ("--max-patch 1e-5", "patches"),
+     ("--max-patch 0.001 --memory 1G", "cut to 0.001 m, the scene is 8e+06 patches; longer ones, or a --memory of 16G"),
+     ("--target lightmap --size 1000000", "16384 a side are the most"),
+     ("--target lightmap --texels-per-meter 1e9", "16384 a side are the most"),
+     ("--target lightmap --size 2000 --memory 500M", "texels of surface; fewer --texels-per-meter, a smaller --size, or")],
+)  # fmt: skip
+def test_what_memory_cannot_hold_is_refused_before_it_is_tried(scene, options, words, capfd):
+    code, line = failing(capfd, "bake", scene, "--quiet", *options.split())
+    assert code == 1
+    assert words in line
+
+
+def test_edges_that_vertices_do_not_suffice_for(scene):
+    report, out = scene.with_name("r.json"), scene.with_name("out.blend")
+    options = ["--mesh", "subdivide", "--max-edge", "1e-9", "--vertices", "500", "--quiet", "--in-place"]
+    assert main(["bake", str(scene), "-o", str(out), "--report", str(report), *options]) == 0
+    (finding,) = json.loads(report.read_text())["health"]
+    assert "are left, longer than 1e-09 m" in finding["finding"]
+    assert "500 vertices were the most" in finding["action"]
+    bpy.ops.wm.open_mainfile(filepath=str(out))
+    assert 125 < sum(len(bpy.data.objects[name].data.vertices) for name in ("floor", "wall")) <= 500
+
+
+@pytest.mark.parametrize("command", ["bake", "price", "cells"])
+def test_scenes_of_which_no_bake_makes_sense(tmp_path, command, capfd):
+    def line():
+        return failing(capfd, command, saved(tmp_path / "s.blend"), "--quiet")[1]
+
+    empty()
+    assert "no mesh to bake" in line()
+    plane("floor", n=2)
+    assert "nothing gives light" in line()
+    lamp("SUN", 3.0)
+    assert "no mesh matches table" in failing(capfd, command, tmp_path / "s.blend", "--objects", "table")[1]
+    bpy.data.objects["floor"].scale = (0, 0, 0)
+    assert "no face has an area" in line()
+    bpy.data.objects["floor"].scale = (float("nan"), 1, 1)
+    assert "no face has an area" in line()
+
+
+def test_why_an_object_that_is_named_cannot_be_written(tmp_path, capfd):
+    empty()
+    plane("table", n=2)
+    library = saved(tmp_path / "library.blend")
+    empty()
+    lamp("SUN", 3.0)
+    with bpy.data.libraries.load(str(library), link=True) as (_, here):
+        here.objects = ["table"]
+    bpy.context.scene.collection.objects.link(here.objects[0])
+    code, line = failing(capfd, "bake", saved(tmp_path / "s.blend"), "--objects", "ta*", "--quiet")
+    assert code == 1
+    assert "table: its mesh is linked from another file; its light was not written: make it local" in line
+
+
+def test_references_that_are_none(scene, capfd):
+    reference = scene.with_name("r.npz")
+
+    def line():
+        return failing(capfd, "price", scene, "--errors", "20", "--quiet", "--reference", reference)[1]
+
+    assert "r.npz: No such file" in line()
+    for content in (b"", b"PK\3\4", b"nothing", scene.read_bytes()):
+        reference.write_bytes(content)
+        assert "it is not a file of arrays (.npz), or is damaged" in line()
+    np.save(reference.open("wb"), np.zeros(3))
+    assert "it is not a file of arrays" in line()
+    np.savez(reference, **{"floor.A": np.ones(3), "floor.mask": np.ones(3, bool)})
+    assert "the reference does not fit" in line()
+
+
+def test_light_beyond_what_blender_can_hold_is_cut_off(scene, capfd):
+    state, out = scene.with_name("s"), scene.with_name("out.blend")
+    bpy.data.lights[0].energy = 1e12
+    saved(scene)
+    assert main(["bake", str(scene), "--groups", "lamp", "--state", str(state), "--quiet"]) == 0
+    capfd.readouterr()
+    assert main(["relight", str(state), "-o", str(out), "--set", "POINT=1e30", "--quiet"]) == 0
+    assert capfd.readouterr().err == ""
+    bpy.ops.wm.open_mainfile(filepath=str(out))
+    assert np.isfinite(colors(bpy.data.objects["floor"].data, "Radiosity")).all()
+    assert main(["relight", str(state), "-o", str(out), "--set", "POINT=1e300", "--quiet"]) == 2
