@@ -305,7 +305,8 @@ def test_relight_by_lamp(two_lamps, monkeypatch, capfd, target):
     anew = folder / "anew.blend"
     other = changed(two_lamps, left=(3, (1, 1, 1)), right=(1, (0, 0.5, 1)))
     assert main(["bake", str(other), "-o", str(anew), *options]) == 0
-    assert near(layers(relit), layers(anew), 0.02)
+    # Two bakes to 1 %, corners too, which the estimate leaves out; in the sum of groups one lamp counts three times.
+    assert near(layers(relit), layers(anew), 0.03)
     assert not near(base, layers(anew), 0.1)
 
 
