@@ -1,6 +1,6 @@
 """Phase 2: the light that arrives at points.
 
-Owns the gathering of light at points and the filter of its indirect part. Every source counts exactly once: sampled
+Owns the gathering of light at points, and how far the filter of its indirect part is trusted. Every source counts exactly once: sampled
 sources by test rays (`direct`), light of faces that are not sampled and of the sky by the gather rays that meet them
 (also `direct`), reflected light by the gather rays that meet lit patches (`indirect`).
 """
@@ -14,11 +14,13 @@ from time import thread_time
 import numpy as np
 
 from .anew import read_light
+from .filter import Filter
 from .kernel import blocks
 from .lights import FLAT, test_rays, unoccluded
+from .points import pairs
 from .records import to_arrays
 from .sampling import R2, hemisphere, lattice, scatter, tangents
-from .vectors import counted, dot, length, ratio
+from .vectors import counted, ratio
 
 TASK_RAYS = 1 << 15  # of one task: some 10 ms
 TABLES = 64  # direction tables, each turned by a step of its own; a point's shift picks one
@@ -35,12 +37,8 @@ DIM_TESTS = 16
 
 PARTS = ("direct", "found", "reflected")  # of a point's light
 
-STEPS = 6  # diffusion steps of the filter
-COLUMNS = 8  # neighbors of a point that are summed with those of all others
 REACH = 0.4  # of the filter, in harmonic mean free distances, at 64 gather rays
-NEARBY = 8  # steps along edges over which noise is compared
 CHANCE = 2.0  # times the noise: a change by the filter up to that is taken as noise (undoing less would not pay)
-SMOOTH = 0.9510565162951535  # cosine of 18 degrees: the largest turn between points that the filter mixes
 
 
 @dataclass(frozen=True)
@@ -65,22 +63,27 @@ class Light:
 
 @dataclass(frozen=True)
 class Replicate:
-    """One independent sample of the light, by so many rays at each of the points that are asked, (P,) bool: weight (P,), 0
-    where it was not taken (yet), and (C, P) float32 each, direct light of sampled sources, light found by rays, and light
+    """One independent sample of the light, by so many rays at each of the points that are asked, (P,) bool; taken: (P,) bool,
+    where that is done. (C, P) float32 each, direct light of sampled sources, light found by rays, and light
     reflected at least once [W/m^2]; nearness: (P,) float32 mean inverse distance that the rays went, in scene diagonals."""
 
     rays: int
     asked: np.ndarray
-    weight: np.ndarray
+    taken: np.ndarray
     direct: np.ndarray
     found: np.ndarray
     reflected: np.ndarray
     nearness: np.ndarray
 
     @property
+    def weight(self):
+        """(P,) how much it counts at each point, 0 where it was not taken (yet)."""
+        return self.taken * (self.rays * np.sqrt(np.sqrt(self.rays)))
+
+    @property
     def left(self):
         """(K,) int32 points where it is still to be taken."""
-        return np.flatnonzero(self.asked & (self.weight == 0)).astype(np.int32)
+        return np.flatnonzero(self.asked & ~self.taken).astype(np.int32)
 
 
 @dataclass(frozen=True)
@@ -111,14 +114,15 @@ class Gathering:
         gathered: what another Gathering of the same has found, to go on from.
         """
         self.points, self.cells, self.settings, self._start, self._groups = points, cells, settings, start, groups
-        nothing = Gathered([], np.full(len(points), np.inf), np.zeros(len(points.neighbor), bool))
+        nothing = Gathered([], np.full(len(points), np.inf, np.float32), np.zeros(len(points.neighbor), bool))
         self.gathered = gathered.copy() if gathered else nothing
+        self._shape = start.direct.shape
         self._taken, self._light = None, None
 
     @property
     def rays(self):
         """(P,) gather rays so far."""
-        return sum((r.rays * (r.weight > 0) for r in self.gathered.replicates), np.zeros(len(self.points)))
+        return sum((r.rays * r.taken for r in self.gathered.replicates), np.zeros(len(self.points)))
 
     @property
     def mean_rays(self):
@@ -132,9 +136,11 @@ class Gathering:
 
     def ask(self, rays, ids=None):
         """Ask for another replicate of `rays` rays at points ids (K,), all if None."""
-        count, light = len(self.points), (np.zeros(self._start.direct.shape, np.float32) for _ in PARTS)
+        count, light = len(self.points), (np.zeros(self._shape, np.float32) for _ in PARTS)
         asked = np.ones(count, bool) if ids is None else np.isin(np.arange(count), ids)
-        self.gathered.replicates.append(Replicate(rays, asked, np.zeros(count), *light, np.zeros(count, np.float32)))
+        self.gathered.replicates.append(
+            Replicate(rays, asked, np.zeros(count, bool), *light, np.zeros(count, np.float32))
+        )
 
     def gather(self):
         """Gather the first replicate that is not complete: a generator that yields the number of its points that are done.
@@ -164,7 +170,7 @@ class Gathering:
         if "links" in result:
             here, number = counted(np.diff(points.neighbor_start)[ids].astype(np.int64))
             self.gathered.links[points.neighbor_start[ids][here] + number] = result["links"]
-        replicate.weight[ids] = replicate.rays * np.sqrt(np.sqrt(replicate.rays))  # at last: what has it is whole
+        replicate.taken[ids] = True  # at last: what has it is whole
 
     def light(self, diagonal):
         """The Light so far, filtered; diagonal: of the scene [m].
@@ -183,32 +189,88 @@ class Gathering:
         if not done.any():
             return self._start
         links = self.gathered.links & np.repeat(done, np.diff(self.points.neighbor_start)) & done[self.points.neighbor]
-        share = np.sqrt(np.sqrt(ratio(64.0, rays)))
         nearness = sum(r.rays * r.nearness.astype(float) for r in replicates)
-        filter = _Filter(self.points, REACH * share * diagonal * ratio(rays, nearness), links)
+        reach = REACH * np.sqrt(np.sqrt(ratio(64.0, rays))) * diagonal * ratio(rays, nearness)
+        filter = Filter(self.points, reach, links)
+        del links, nearness, reach, rays
 
-        weights = [r.weight for r in replicates]
-        whole = sum(weights)
-        direct, found, reflected = (
-            ratio(sum(r.weight * getattr(r, name) for r in replicates), whole) for name in PARTS
-        )
-        off = [np.where(r.weight > 0, r.found + r.reflected - found - reflected, 0.0) for r in replicates]
-        off = [self._together(noise) for noise in off]
-        trust, filtered, bias = _trust(filter, self._together(found + reflected), off, weights)
-        # Beside a steep edge what is smoothed can fall below 0.
-        found, reflected = (np.maximum(x + trust * (filter.smooth(x) - x), 0.0) for x in (found, reflected))
+        trust, variance, blurred = self._trust(filter)
+        light = []
+        for name in ("found", "reflected"):
+            light.append(self._mean(name))
+            change = filter.smooth(light[-1])
+            change -= light[-1]
+            change *= trust
+            light[-1] += change
+            # Beside a steep edge what is smoothed can fall below 0.
+            np.maximum(light[-1], 0.0, out=light[-1])
+        found, reflected = light
+        found += self._mean("direct")
+        if done.all():
+            self._start = None  # nothing is shown of it any more
+        else:
+            np.copyto(found, self._start.direct, where=~done)
+            np.copyto(reflected, self._start.indirect, where=~done)
+        return Light(found, reflected, variance, blurred, done)
 
-        scatter = np.zeros_like(off[0])
-        for r, raw, smooth in zip(replicates, off, filtered):
-            scatter += r.weight * (self._together(r.direct - direct) + raw + trust * (smooth - raw)) ** 2
-        more = sum(r.weight > 0 for r in replicates) - 1
-        return Light(
-            np.where(done, direct + found, self._start.direct),
-            np.where(done, reflected, self._start.indirect),
-            ratio(scatter, whole * more),
-            trust * trust * bias,
-            done,
-        )
+    def _trust(self, filter):
+        """How far the filter is to be trusted at each point, (P,) 0..1: so that the error of what is filtered so far is
+        least; with it the variance (C, P) of the light, and (P,) the square of what the filter does to the light itself.
+
+        With V the variance of the mean of all replicates, V' of what is filtered of it and K what they have in common, and
+        b what the filter does to the light itself, the error of a filtered share a is (1 - a)^2 V + 2 a (1 - a) K +
+        a^2 (V' + b^2): it is least where a is V - K over V - 2 K + V' + b^2. How much more the filter changes than the
+        noise explains, V - 2 K + V', shows b^2. All of them are means over neighbors.
+
+        The replicates are gone through one by one, so that only sums are held: of the squares of how far each is off the
+        mean, of what the filter changes of that, and of their products. They tell the variance whatever the trust is.
+        """
+        replicates, count = self.gathered.replicates, len(self.points)
+        others = sum(r.taken.astype(np.int32) for r in replicates) - 1
+        shape = self._shape[0] // self._groups, count
+        if not others.max(initial=0) > 0:  # one replicate alone shows no noise
+            return np.ones(count), np.zeros(shape), np.zeros(count)
+        direct, indirect = self._mean("direct"), self._mean("found")
+        indirect += self._mean("reflected")
+        off, both, change = (np.zeros(shape) for _ in range(3))
+        gain = np.zeros(count)
+        for r in replicates:
+            weight = r.weight
+            raw = self._together((r.found - indirect + r.reflected) * r.taken)
+            moved = filter.smooth(raw)
+            moved -= raw
+            gain -= weight * np.einsum("cp,cp->p", raw, moved)
+            raw += self._together(r.direct - direct)
+            both += weight * raw * moved
+            off += weight * raw * raw
+            change += weight * moved * moved
+        del raw, moved, direct, weight
+        scale = ratio(1.0, others * sum(r.weight for r in replicates))
+
+        light = self._together(indirect)
+        moved = filter.smooth(light)
+        moved -= light
+        noise = np.einsum("cp->p", change)
+        parts = np.stack([gain * scale, noise * scale, np.einsum("cp,cp->p", moved, moved)])
+        del light, moved, indirect
+        gain, noise, blurred = filter.local_mean(parts)
+        blurred -= noise
+        trust = np.clip(ratio(gain, noise + np.maximum(blurred - (CHANCE - 1) * noise, 0.0)), 0.0, 1.0)
+        both *= 2
+        both += trust * change
+        off += trust * both
+        off *= scale
+        blurred *= trust * trust
+        return trust, np.maximum(off, 0.0, out=off), blurred
+
+    def _mean(self, name):
+        """(G C, P) a part of the light, the mean of all replicates."""
+        total, whole = np.zeros(self._shape), np.zeros(len(self.points))
+        for r in self.gathered.replicates:
+            weight = r.weight
+            total += weight * getattr(r, name)
+            whole += weight
+        return np.divide(total, whole, out=total, where=whole > 0)
 
     def _together(self, light):
         """(C, P) light of all groups, of light (G C, P)."""
@@ -297,108 +359,6 @@ def _mean(light, rays, above):
     return np.einsum("ckn->ck", light) / rays
 
 
-class _Filter:
-    """Diffusion of light over the mesh edges between P points, by steps that bend with it.
-
-    reach: (P,) how far light may be mixed [m]. links: (E,) bool, the edges (to neighbors, in order) along which nothing
-    stands. Points whose normals differ by more than 18 degrees are not mixed. All light is (K, P), a row per quantity.
-    """
-
-    def __init__(self, points, reach, links):
-        here, there = pairs(points, np.arange(len(points)))
-        joined = links & (dot(points.normal[here], points.normal[there]) >= SMOOTH)
-        here, there = here[joined], there[joined]
-        distance = length(points.position[here] - points.position[there])
-        degree = np.maximum(np.diff(points.neighbor_start), 1)
-        share = np.minimum(reach[here], reach[there])
-        share /= np.maximum(distance, 1e-9 * np.maximum(reach[here], 1e-300))
-        weight = np.minimum(1.0, share * share / 4) / np.maximum(degree[here], degree[there])
-        self._flow = _EdgeSums(here, there, weight, len(points))
-        self._mean = _EdgeSums(here, there, np.ones(len(here)), len(points))
-        self._stays = 1.0 - np.bincount(here, weight, len(points))
-        self._degree = np.bincount(here, minlength=len(points))
-
-    def smooth(self, light):
-        """Light with its noise diffused. What the diffusion F does to the light itself is undone in part: 2 F - F F."""
-        once = self._diffuse(light)
-        return 2 * once - self._diffuse(once)
-
-    def local_mean(self, values):
-        """Values averaged with those of their neighbors, and theirs."""
-        for _ in range(NEARBY):
-            values = (values + self._mean(values)) / (1 + self._degree)
-        return values
-
-    def _diffuse(self, light):
-        for _ in range(STEPS):
-            before, light = light, self._stays * light + self._flow(light)
-        # Half of the last step: a pattern that changes sign from point to point, as on a chessboard, would turn round in
-        # every whole step and never fade.
-        return (before + light) / 2
-
-
-class _EdgeSums:
-    """Sums of values (K, P) of the neighbors of P points, weighted by edge: (K, P).
-
-    Edges (E,) are given by their ends, sorted by `here`. The first few of every point are summed a column at a time, all
-    points together, which takes a sixth of the time of sums of unequal length; those go over the edges that are left.
-    """
-
-    def __init__(self, here, there, weight, count):
-        degree = np.bincount(here, minlength=count)
-        rank = np.arange(len(here)) - (np.cumsum(degree) - degree)[here]
-        wide = 0
-        while wide < COLUMNS and 4 * np.count_nonzero(degree > wide) >= count:
-            wide += 1
-        self._columns = []
-        for k in range(wide):
-            edge = rank == k
-            neighbor, share = np.arange(count), np.zeros(count)
-            neighbor[here[edge]], share[here[edge]] = there[edge], weight[edge]
-            self._columns.append((neighbor, share))
-        left = rank >= wide
-        self._there, self._weight, here = there[left], weight[left], here[left]
-        self._start = np.flatnonzero(np.append(True, here[1:] != here[:-1])) if len(here) else np.zeros(0, np.int64)
-        self._joined = here[self._start]
-
-    def __call__(self, values):
-        result = np.zeros_like(values)
-        for neighbor, share in self._columns:
-            result += np.take(values, neighbor, axis=1) * share
-        if len(self._start):
-            far = np.take(values, self._there, axis=1) * self._weight
-            result[:, self._joined] += np.add.reduceat(far, self._start, axis=1)
-        return result
-
-
-def _trust(filter, light, off, weights):
-    """(P,) how far the filter is to be trusted at each point, 0..1: so that the error of what is filtered so far is least.
-
-    light: (C, P) unfiltered mean of replicates; off: R times (C, P), how far each is off it; weights: R times (P,).
-    With V the variance of the mean, V' of what is filtered of it and K what they have in common, and b what the filter
-    does to the light itself, the error of a filtered share a is (1 - a)^2 V + 2 a (1 - a) K + a^2 (V' + b^2). How much
-    more the filter changes than the noise explains, V - 2 K + V', shows b^2. All of them are means over neighbors.
-    """
-    whole = sum(weights)
-    count = sum(w > 0 for w in weights) - 1
-    if not count.any():  # one replicate alone shows no noise
-        return np.ones(len(whole)), off, np.zeros(len(whole))
-
-    def spread(values):
-        return sum(w * v for w, v in zip(weights, values))
-
-    filtered = [filter.smooth(o) for o in off]
-    change = ((filter.smooth(light) - light) ** 2).sum(axis=0)
-    own = spread((o * o).sum(axis=0) for o in off)
-    common = spread((o * f).sum(axis=0) for o, f in zip(off, filtered))
-    theirs = spread((f * f).sum(axis=0) for f in filtered)
-    parts = ratio(np.stack([own, common, theirs]), whole * count)
-    own, common, theirs, change = filter.local_mean(np.vstack([parts, change]))
-    noise = own - 2 * common + theirs
-    plain = noise + np.maximum(change - CHANCE * noise, 0.0)
-    return np.clip(ratio(own - common, plain), 0.0, 1.0), filtered, change - noise
-
-
 def _links(kernel, ids):
     """(E,) bool: whether points ids see their neighbors, just above the surface. Both ends cast the same ray."""
     here, there = pairs(kernel.points, ids)
@@ -479,12 +439,6 @@ def _tests(kernel, s):
 def _sharp(kernel, s):
     """Whether a source is a mere point, which is seen or not."""
     return kernel.sources.kind[s] != FLAT and kernel.sources.radius[s] == 0 and not kernel.caster.veiled
-
-
-def pairs(points, ids):
-    """Points ids (K,), as rows 0 to K - 1, repeated, and their neighbors: two (E,) arrays."""
-    here, number = counted((points.neighbor_start[ids + 1] - points.neighbor_start[ids]).astype(np.int64))
-    return here, points.neighbor[points.neighbor_start[ids][here] + number]
 
 
 def direction_tables(rays, seed):

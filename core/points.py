@@ -13,7 +13,7 @@ import numpy as np
 
 from .raycast import OFFSET
 from .sampling import morton_order
-from .vectors import dot, length, unit
+from .vectors import counted, dot, length, unit
 
 SAME_NORMAL = 0.99984769515639127  # cosine of one degree
 INWARD = 1e-3  # how far a point moves from its vertex toward the middle of its faces
@@ -114,6 +114,12 @@ def make_points(scene, flipped=None, cells=None):
         corner_point=rank[point].astype(np.int32),
         thin=thin[order],
     )
+
+
+def pairs(points, ids):
+    """Points ids (K,), as rows 0 to K - 1, repeated, and their neighbors: two (E,) arrays."""
+    here, number = counted((points.neighbor_start[ids + 1] - points.neighbor_start[ids]).astype(np.int64))
+    return here, points.neighbor[points.neighbor_start[ids][here] + number]
 
 
 def _face_normals(scene):

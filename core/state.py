@@ -27,7 +27,7 @@ from .patches import Patches
 from .records import from_arrays, to_arrays
 from .settings import Settings
 
-FORMAT = 1  # of the file; higher when samples of the same seed become others
+FORMAT = 2  # of the file; higher when samples of the same seed become others
 ANEW = "name another state file to bake it anew"
 
 
