@@ -35,6 +35,10 @@ cells-plot: setup ## the figures of README's section "Cells" anew, into docs/
 	for n in 973 1608; do $(VENV)/radiosity cells sample_scenes/paper_$$n.blend --max-patch mesh --rows analytic --error 1% --quiet --report out/cells_$$n.json --plot docs/cells_$$n.png || exit 1; done
 	$(VENV)/radiosity cells sample_scenes/hall.blend --schedule dynamic --error 0.1% --quiet --report out/cells_hall.json --plot docs/cells_hall.png
 
+price-plot: setup ## README's figure of error against seconds anew, into docs/
+	@mkdir -p out
+	$(VENV)/radiosity price sample_scenes/cornell_box.blend --error 1% --measure --reference tests/references/cornell_box.npz --report out/price.json --plot docs/price.png
+
 bench: setup ## how fast bakes are, with Cycles beside them: figures, tables and plots into docs/bench/
 	$(VENV)/python -m tools.bench $(BENCH)
 
@@ -50,4 +54,4 @@ effects-table: setup ## the README's table of effects: small scenes, as needed a
 lint: setup ## check the style
 	$(VENV)/ruff check . && $(VENV)/ruff format --check .
 
-.PHONY: help setup bake test test-heavy hard-cases test-blender extension samples effects-table lint cells-plot bench bench-cells test-versions
+.PHONY: help setup bake test test-heavy hard-cases test-blender extension samples effects-table lint cells-plot price-plot bench bench-cells test-versions

@@ -3,23 +3,29 @@
 from __future__ import annotations
 
 import os
+import sys
+from contextlib import suppress
 from dataclasses import replace
+from math import inf
 
 import numpy as np
 
 from ..core.bake import PRICED, bake, price, run
 from ..core.compare import off_finer, off_reference
 from ..core.health import mend
+from ..core.knobs import knob_values, slope, turns
 from ..core.report import price_row, write_json
 from .arguments import add_scene_options, count, make_options, percent
 from .cluster import add_cluster_options, cells_for
 from .errors import Refused, told
 from .files import context_of
 from .job import check_scene, wanted_by
-from .plots import plot_price, pyplot
+from .plots import knob_value, plot_price, pyplot
 from .progress import Bar
 from .read_scene import read_scene
 from .scene_command import add_scene_file, exit_code, open_scene
+
+SOME_RAYS = 100  # of a point: how many knobs can be turned how often does not depend on it
 
 
 def add(commands):
@@ -34,7 +40,9 @@ def add(commands):
     parser.add_argument("--measure", action="store_true", help="bake to each error, and measure it against the finest")
     parser.add_argument("--reference", metavar="R.npz", help="measure against this: irradiance / pi at the vertices")
     parser.add_argument("--report", metavar="R.json", help="write the list")
-    parser.add_argument("--plot", metavar="P.png", help="draw error against seconds")
+    parser.add_argument(
+        "--plot", metavar="P.png", help="draw error against seconds; with --measure, what each knob does alone too"
+    )
     parser.add_argument("--cells", type=count, default=0, metavar="N", help="processes (default: one per core)")
     add_cluster_options(parser)
     add_scene_options(parser)
@@ -51,16 +59,23 @@ def run_price(arguments):
     options, scene = make_options(arguments), mend(scene)
     check_scene(scene, targets, options)
     settings = options.settings(scene)
+    knobs, falls = [], None
     with cells_for(arguments, arguments.cells) as cells, Bar(quiet=arguments.quiet) as bar:
         prices = run(price(scene, settings, cells, arguments.errors), bar.show)
         rows = [price_row(p) for p in prices]
         if arguments.measure or reference is not None:
-            rows = _measured(scene, options, prices, cells, reference, bar)
+            if not arguments.quiet:
+                _announce(len(rows), 1 + len(turns(settings, SOME_RAYS)) if arguments.plot else 0)
+            rows, off = _measured(scene, options, prices, cells, reference, bar)
+            if arguments.plot:
+                knobs = _turned(scene, settings, cells, off, bar)
     print("\n".join(lines(rows)), flush=True)
-    if arguments.report:
-        write_json({"scene": source, "price": rows}, os.path.abspath(arguments.report))
     if arguments.plot:
-        plot_price(rows, os.path.abspath(arguments.plot), os.path.basename(source))
+        falls = slope(_pairs(rows))
+        print("\n".join(knob_lines(knobs, falls)), flush=True)
+        plot_price(rows, knobs, falls, os.path.abspath(arguments.plot), os.path.basename(source))
+    if arguments.report:
+        write_json({"scene": source, "price": rows, "knobs": knobs, "slope": falls}, os.path.abspath(arguments.report))
 
 
 def lines(rows):
@@ -68,8 +83,29 @@ def lines(rows):
     yield f"{'error':>8}{'seconds':>10}{'memory':>11}{'measured':>12}{'error':>10}"
     for r in rows:
         took = "" if r["seconds_measured"] is None else f"{r['seconds_measured']:.2f} s"
-        off = "" if r["error_measured"] is None else f"{100 * r['error_measured']:.2f} %"
+        off = _percent(r["error_measured"])
         yield (f"{100 * r['error']:6.3g} %{r['seconds_predicted']:8.2f} s{r['memory_mb']:8.0f} MB{took:>12}{off:>10}")
+
+
+def knob_lines(knobs, falls):
+    """What each knob does alone, as lines of text, and how steeply the error falls."""
+    if knobs:
+        yield f"{'one knob alone':28}{'patches':>10}{'rays':>10}{'seconds':>10}{'error':>10}"
+    for k in [k for k in knobs if k["chosen"]][:1] + [k for k in knobs if not k["chosen"]]:
+        name = "none: as the error chose" if k["chosen"] else f"{k['knob']}: {knob_value(k)}"
+        yield f"{name:28}{k['patches']:>10}{k['rays'] / 1e6:>8.2f} M{k['seconds']:>8.2f} s{_percent(k['error']):>10}"
+    if falls is not None:
+        yield f"error falls as seconds to the power of {falls:.2f}"
+
+
+def _percent(error):
+    return "" if error is None else f"{100 * error:.2f} %"
+
+
+def _pairs(rows):
+    """(seconds, error) of a price list, as they were measured, or else foretold."""
+    measured = [(r["seconds_measured"], r["error_measured"]) for r in rows if r["error_measured"]]
+    return measured or [(r["seconds_predicted"], r["error"]) for r in rows]
 
 
 def _errors(text):
@@ -91,21 +127,56 @@ def _open_reference(path):
 
 def _measured(scene, options, prices, cells, reference, bar):
     """The rows of a price list with what bakes to each error took, and how far off they are: from the reference, or from
-    the finest of them."""
+    the finest of them. Also the function that tells the latter of a Bake."""
     baked = []
     for p in prices:
         settings = replace(options, error=p.error, time=None).settings(scene)
         baked.append(run(bake(scene, settings, cells), bar.show))
     finest = baked[int(np.argmin([p.error for p in prices]))]
+
+    def off(found):
+        if reference is None:
+            return None if found is finest else off_finer(found, finest)
+        try:
+            return off_reference(found, reference)
+        except (KeyError, ValueError):  # arrays that are not there, or of another size
+            raise Refused("the reference does not fit: it is of another scene, or another kind of file") from None
+
+    return [price_row(p, _seconds(found), off(found)) for p, found in zip(prices, baked)], off
+
+
+def _announce(errors, more):
+    """Say how many bakes are to come."""
+    with suppress(OSError):
+        turned = f", and {more} to turn each knob alone" if more else ""
+        print(f"{errors} bakes to measure{turned}", file=sys.stderr, flush=True)
+
+
+def _turned(scene, settings, cells, off, bar):
+    """What each knob does alone around the settings that an error has chosen: [{knob, value, chosen, patches, rays,
+    seconds, error}], knob by knob from the cheapest to the dearest. off: of a Bake. All have another seed than the finest
+    that they may be held against."""
+    settings = replace(settings, seconds=None, seed=settings.seed + 1)
+    chosen = run(bake(scene, settings, cells), bar.show)
+    rays = int(sum(r.rays for r in chosen.state().gathered.replicates if r.asked.all()))
+    values, error = knob_values(chosen.settings, rays), off(chosen)
+    baked = [
+        (turn.knob, turn.value, run(bake(scene, turn.settings, cells), bar.show))
+        for turn in turns(chosen.settings, rays)
+    ]
     rows = []
-    for p, found in zip(prices, baked):
-        seconds = sum(found.seconds[phase] for phase in ("survey", "patches", "transport", "gather"))
-        if reference is not None:
-            try:
-                off = off_reference(found, reference)
-            except (KeyError, ValueError):  # arrays that are not there, or of another size
-                raise Refused("the reference does not fit: it is of another scene, or another kind of file") from None
-        else:
-            off = None if found is finest else off_finer(found, finest)
-        rows.append(price_row(p, float(seconds), off))
+    for knob in dict.fromkeys(knob for knob, _, _ in baked):
+        own = [(value, found) for name, value, found in baked if name == knob] + [(values[knob], chosen)]
+        own.sort(key=lambda pair: inf if pair[0] is None else -pair[0] if knob == "patches" else pair[0])
+        for value, found in own:
+            rows.append(dict(
+                knob=knob, value=value * scene.focus if knob == "patches" else value, chosen=found is chosen,
+                patches=len(found.patches), rays=found.rays, seconds=_seconds(found),
+                error=error if found is chosen else off(found),
+            ))  # fmt: skip
     return rows
+
+
+def _seconds(found):
+    """Wall seconds of a Bake, as a price list has them."""
+    return float(sum(found.seconds[phase] for phase in ("survey", "patches", "transport", "gather")))

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+from math import prod
+
+from ..core.knobs import frontier
 from .errors import Usage
 
 COLORS = {"paper": "#b5523b", "dynamic": "#2f6f9f"}
+KNOB_COLORS = {
+    "patches": "#c46b4e", "row rays": "#d9a441", "gather rays": "#5f9e6e", "light samples": "#8d6cab", "bounces": "#4f9da6",
+}  # fmt: skip
 CAUSE_COLORS = {
     "too few shooters": "#d9a441",
     "waiting": "#c46b4e",
@@ -63,22 +69,81 @@ def plot_cells(runs, path, title):
     plt.close(figure)
 
 
-def plot_price(rows, path, title):
-    """Error against seconds, foretold and measured."""
+def knob_value(knob):
+    """What a knob was turned to, in words."""
+    name, value = knob["knob"], knob["value"]
+    if value is None:
+        return "all"
+    return {"patches": f"{value:.2g} m", "light samples": f"x {value:g}"}.get(name, f"{value:g}")
+
+
+def plot_price(rows, knobs, falls, path, title):
+    """Error against seconds: foretold and measured, what each knob does alone, the cheapest of all that was baked, and how
+    steeply the error falls. rows, knobs: as the report has them; falls: the power of the seconds, or None."""
     plt = pyplot()
-    figure, axis = plt.subplots(figsize=(5, 3.8))
-    axis.plot(
-        [r["seconds_predicted"] for r in rows], [100 * r["error"] for r in rows], color=COLORS["dynamic"], marker="o",
-        ms=4, label="foretold",
-    )  # fmt: skip
-    known = [r for r in rows if r["seconds_measured"] is not None and r["error_measured"]]
-    if known:
-        axis.plot(
-            [r["seconds_measured"] for r in known], [100 * r["error_measured"] for r in known], color=COLORS["paper"],
-            ls="", marker="s", ms=5, label="measured",
-        )  # fmt: skip
+    figure, axis = plt.subplots(figsize=(8.2, 4.8) if knobs else (6.2, 4.2))
+
+    def draw(points, **style):
+        axis.plot([s for s, _ in points], [100 * e for _, e in points], **style)
+
+    foretold = [(r["seconds_predicted"], r["error"]) for r in rows]
+    measured = [(r["seconds_measured"], r["error_measured"]) for r in rows if r["error_measured"]]
+    turned = [k for k in knobs if k["error"]]
+    best = frontier([*measured, *((k["seconds"], k["error"]) for k in turned)])
+    if best:
+        draw(best, color="0.85", lw=7, solid_capstyle="round", zorder=0, label="cheapest of all that was baked")
+    for name, color in KNOB_COLORS.items():
+        own = [k for k in turned if k["knob"] == name]
+        if not own:
+            continue
+        draw([(k["seconds"], k["error"]) for k in own], color=color, marker="o", ms=3.5, lw=1, label=f"{name} alone")
+        for k, off, side in ((own[0], -5, "right"), (own[-1], 5, "left")):
+            if not k["chosen"]:
+                place, style = (k["seconds"], 100 * k["error"]), dict(fontsize=7, color=color, ha=side, va="center")
+                axis.annotate(knob_value(k), place, (off, 0), textcoords="offset points", **style)
+    draw(
+        foretold,
+        color=COLORS["dynamic"],
+        marker="o",
+        mfc="white",
+        ms=5,
+        lw=1,
+        ls=":",
+        label="errors asked for, foretold",
+    )
+    if measured:
+        draw(measured, color=COLORS["dynamic"], marker="s", ms=5, lw=1.6, label="errors asked for, measured")
+    for k in turned[:1]:
+        chosen = next(k for k in turned if k["chosen"])
+        draw(
+            [(chosen["seconds"], chosen["error"])],
+            color="0.15",
+            marker="*",
+            ms=12,
+            ls="",
+            label="where knobs are turned from",
+        )
+    points = frontier(measured or foretold)
+    if falls is not None:
+        # Through the middle of what it was fitted to.
+        x, y = (prod(values) ** (1 / len(points)) for values in zip(*points))
+        line = [(s, y * (s / x) ** falls) for s in (points[0][0], points[-1][0])]
+        draw(line, color="0.15", lw=1, ls="--", label=f"slope {falls:.2f}")
     axis.set(xscale="log", yscale="log", xlabel="seconds", ylabel="error in percent", title=title)
-    axis.legend(frameon=False)
+    for one in (axis.xaxis, axis.yaxis):
+        _plain_ticks(one)
+    axis.grid(color="0.94")
+    axis.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.01, 0.5))
     figure.tight_layout()
     figure.savefig(path)
     plt.close(figure)
+
+
+def _plain_ticks(axis):
+    """Ticks of an axis of logarithms as plain numbers, more of them where few decades show."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+    low, high = axis.get_view_interval()
+    axis.set_major_locator(LogLocator(subs=(1, 2, 5) if high < 1000 * low else (1,)))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

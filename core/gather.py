@@ -148,7 +148,12 @@ class Gathering:
         number, replicate = self.next, self.gathered.replicates[self.next]
         ids, rays = replicate.left, replicate.rays
         size = max(TASK_RAYS // (rays + TESTS), 1)
-        arguments = dict(rays=rays, seed=self.settings.seed + SEEDS * number, links=int(not number))
+        arguments = dict(
+            rays=rays,
+            tests=self.settings.light_samples,
+            seed=self.settings.seed + SEEDS * number,
+            links=int(not number),
+        )
         parts = (ids[k : k + size] for k in range(0, len(ids), size))
         tasks = {self.cells.submit("gather", ids=part, **arguments): part for part in parts}
         done = int(replicate.asked.sum()) - len(ids)
@@ -296,8 +301,8 @@ def light_arrays(points, solution, surfaces, sky):
     }
 
 
-def gather_points(kernel, ids, rays, seed, links):
-    """Light at points ids (K,): "direct" of sampled sources, "found" by rays and "reflected", (C, K) [W/m^2];
+def gather_points(kernel, ids, rays, tests, seed, links):
+    """Light at points ids (K,), by `rays` rays and `tests` times the usual test rays: "direct" of sampled sources, "found" by rays and "reflected", (C, K) [W/m^2];
     "nearness" (K,), the mean inverse distance that their rays went, in scene diagonals; "closest" (K,), the shortest; if `links`, "links" (E,)
     bool, which of their neighbors they see along the edge."""
     reflected, found = kernel.arrays["gather.reflected"], kernel.arrays["gather.found"]
@@ -305,7 +310,7 @@ def gather_points(kernel, ids, rays, seed, links):
     result = {name: np.zeros((count, len(ids))) for name in PARTS}
     result.update(nearness=np.zeros(len(ids)), closest=np.full(len(ids), np.inf))
     begun = thread_time()
-    result["direct"] = _direct(kernel, ids, rays, seed)
+    result["direct"] = _direct(kernel, ids, rays, tests, seed)
     kernel.caster.note("sources", begun)
     if links:
         begun = thread_time()
@@ -369,11 +374,11 @@ def _links(kernel, ids):
     return ~kernel.caster.blocked(*ends)
 
 
-def _direct(kernel, own, rays, seed):
+def _direct(kernel, own, rays, tests, seed):
     """(C, K) light of the sampled sources at points own (K,), which are sorted [W/m^2].
 
     All are tested a few times, with their neighbors; where a source is partly hidden, or hidden for one point and not
-    for the next, more test rays follow.
+    for the next, more test rays follow. tests: times as many as usual.
     """
     points, sources = kernel.points, kernel.sources
     if not len(sources):
@@ -403,11 +408,12 @@ def _direct(kernel, own, rays, seed):
     for s in range(len(sources)):
         lit = np.flatnonzero(factor[:, s] > 0)
         if len(lit):
-            weight[lit, s], seen[lit, s] = test(s, lit, 0, np.full(len(lit), _tests(kernel, s)))
+            weight[lit, s], seen[lit, s] = test(s, lit, 0, np.full(len(lit), _tests(kernel, s, tests)))
 
     # Where the light is partly hidden: more rays, by the source's share of what the point could get.
     possible = factor * sources.strength.max(axis=1)
     share = ratio(possible, possible.sum(axis=1, keepdims=True))
+    most = 2 * PENUMBRA * rays * tests
     dim = (possible * ratio(seen, weight)).sum(axis=1) < DIM * possible.sum(axis=1)
     for s in range(len(sources)):
         if _sharp(kernel, s):
@@ -415,12 +421,12 @@ def _direct(kernel, own, rays, seed):
         state = np.where(weight[:, s] > 0, np.sign(seen[:, s]) + (seen[:, s] < weight[:, s]), -1)
         differs = (state[here] != state[there]) & (state[here] >= 0) & (state[there] >= 0)
         mixed = (state == 2) | (np.bincount(here, differs, len(ids)) > 0)
-        count = np.where(mixed, np.clip(PENUMBRA * rays * np.sqrt(share[:, s]), 4, 2 * PENUMBRA * rays), 0)
+        count = np.where(mixed, np.clip(most / 2 * np.sqrt(share[:, s]), 4, most), 0)
         count = np.where(dim & (state >= 0), np.maximum(count, DIM_TESTS), count)
         count = count.astype(np.int64)
         more = np.flatnonzero(count[: len(own)])
         if len(more):
-            extra = test(s, more, _tests(kernel, s), count[more])
+            extra = test(s, more, _tests(kernel, s, tests), count[more])
             weight[more, s] += extra[0]
             seen[more, s] += extra[1]
     arriving = (factor * ratio(seen, weight))[: len(own)]
@@ -428,12 +434,13 @@ def _direct(kernel, own, rays, seed):
     return np.einsum("ks,sc->ck", arriving, sources.strength)
 
 
-def _tests(kernel, s):
-    """Test rays toward a source before anything is known. One that does not shine in all directions alike needs more of
+def _tests(kernel, s, tests):
+    """Test rays toward a source before anything is known, `tests` times as many as usual. One that does not shine in all directions alike needs more of
     them: the share that is visible is a ratio of sums of weights, which few very unlike weights bias."""
     if _sharp(kernel, s):
         return 1
-    return TESTS if kernel.sources.cone[s, 0] <= -1 else UNLIKE * TESTS
+    usual = TESTS if kernel.sources.cone[s, 0] <= -1 else UNLIKE * TESTS
+    return max(int(tests * usual), 1)
 
 
 def _sharp(kernel, s):

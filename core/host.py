@@ -333,6 +333,15 @@ class Transport:
         irradiance[:, ~rows.kept] = (self.arrived / self.area)[:, ~rows.kept]
         return irradiance, sweeps, bound
 
+    def reflected(self, bounces):
+        """(C, 2 N) light that sides with rows send back or through, of light that was sent so less than `bounces` times before."""
+        surfaces, sides = self.surfaces, self.rows.sides
+        irradiance, reflected = self.direct.copy(), np.zeros_like(self.direct)
+        for _ in range(bounces):
+            irradiance[:, sides] = self.direct[:, sides] + self.rows.gather(surfaces.found + reflected, self.sky)
+            reflected = surfaces.send(irradiance)
+        return reflected
+
     def missing(self):
         """Bounds on the power that has not arrived yet, as shares of the power emitted, in the island where most is
         missing: what sides with rows have not shot, and sides without. Light u still to be shot adds at most
@@ -512,7 +521,8 @@ def solve(patches, surfaces, sky, cells, settings, survey=None, known=None):
             yield rounds[-1]
     finally:
         state.rows = _brought(state.rows, in_flight, cells)  # there are some if it was broken off
-    return state.solution(irradiance, rounds, sweeps, target)
+    found = state.solution(irradiance, rounds, sweeps, target)
+    return found if settings.bounces is None else replace(found, reflected=state.reflected(settings.bounces))
 
 
 def _brought(rows, in_flight, cells):
@@ -526,9 +536,10 @@ def _brought(rows, in_flight, cells):
 def light_patches(cells, count, settings, sides=None):
     """(C, 2 N) direct irradiance of all patch sides, or of some of them (K,); the others' is 0."""
     sides = np.arange(count) if sides is None else sides
-    size = _task_size(len(sides), settings.patch_samples, cells)
+    samples = max(int(settings.light_samples * settings.patch_samples), 1)
+    size = _task_size(len(sides), samples, cells)
     tasks = [
-        cells.submit("direct", sides=part, samples=settings.patch_samples, seed=settings.seed)
+        cells.submit("direct", sides=part, samples=samples, seed=settings.seed)
         for part in _parts(sides, size) or [sides]
     ]
     found = np.concatenate([result["direct"] for result in cells.take(tasks)], axis=1)

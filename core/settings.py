@@ -20,7 +20,8 @@ class Settings:
 
     error: the relative error asked for. per_object: of every object that is not too dark, not of the whole alone. seed: of all sample sequences. patch_edge: longest edge of a patch, as a share
     of the scene's focus, and if graded of a polygon that is larger than that; None makes every polygon one patch. row_rays: of a form-factor row. patch_samples: places
-    on a patch where its direct light is tested. gather_rays: of a point; None gathers until the error is reached. pilot_rays: of
+    on a patch where its direct light is tested. light_samples: times as many test rays toward sources as usual, at patches and points. bounces:
+    of light at most; what more of them would bring is in no bound; None: all. gather_rays: of a point; None gathers until the error is reached. pilot_rays: of
     each of the first replicates. side: whose light is asked for, of each
     face: "front", "back" or "lit" (the one that gets more). schedule: "dynamic" or "paper"; rows: "rays" or "analytic",
     the estimator of form-factor rows. force: effects that are simulated although nothing calls for them. memory: what host and cells together may use [bytes].
@@ -34,6 +35,8 @@ class Settings:
     graded: bool = True
     row_rays: int = 16
     patch_samples: int = 4
+    light_samples: float = 1.0
+    bounces: int | None = None
     gather_rays: int | None = None
     pilot_rays: int = 8
     seconds: float | None = None

@@ -20,6 +20,7 @@ from PIL import Image  # noqa: E402
 
 from cell_radiosity.addon.arguments import percent  # noqa: E402
 from cell_radiosity.addon.command import main  # noqa: E402
+from cell_radiosity.core.knobs import KNOBS  # noqa: E402
 from cell_radiosity.core.report import SCHEMA  # noqa: E402
 from cell_radiosity.core.settings import EFFECTS  # noqa: E402
 
@@ -269,6 +270,24 @@ def test_prices_are_listed_and_measured(scene, capfd):
     assert rows[0]["error_measured"] < 0.2
     assert rows[1]["error_measured"] is None  # nothing finer is there to measure it against
     assert len(capfd.readouterr().out.splitlines()) == 3
+
+
+def test_each_knob_is_turned_alone_and_drawn(scene, capfd):
+    """How many bakes are to come is said before; the same figures are in the table, in the report and in the plot."""
+    report, plot = scene.parent / "knobs.json", scene.parent / "knobs.png"
+    asked = ["--error", "20", "--errors", "20,10", "--measure", "--report", str(report), "--plot", str(plot)]
+    assert main(["price", str(scene), *asked]) == 0
+    printed, found = capfd.readouterr(), json.loads(report.read_text())
+    knobs = found["knobs"]
+    assert list(dict.fromkeys(row["knob"] for row in knobs)) == list(KNOBS)
+    assert [sum(row["chosen"] for row in knobs if row["knob"] == knob) for knob in KNOBS] == [1] * 5
+    turned = [row for row in knobs if not row["chosen"]]
+    assert f"2 bakes to measure, and {len(turned) + 1} to turn each knob alone" in printed.err
+    assert all(row["seconds"] > 0 and row["error"] > 0 for row in knobs)
+    assert len(printed.out.splitlines()) == 3 + 1 + 1 + len(turned) + (found["slope"] is not None)
+    none, *_, many = [row["error"] for row in knobs if row["knob"] == "bounces"]
+    assert none > 2 * many
+    assert plot.read_bytes().startswith(b"\x89PNG")
 
 
 def test_make_bake_names_a_scene_that_is_there():
