@@ -8,11 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from .lights import FLAT, likely_light, test_rays, unoccluded
+from .lights import from_one_test, likely_light, test_rays
 from .sampling import hemisphere, tangents
-from .vectors import dot
-
-CLOSE = 0.3  # a source that fills more than this share of a hemisphere's unit disk is close: its exact factor is taken
 
 
 def reflect_anew(kernel, hit, chosen, x):
@@ -54,25 +51,9 @@ def _one_source(kernel, position, normal, start, pick, a, b):
         if len(mine):
             place, up = position[mine], normal[mine]
             _weight, seen = test_rays(sources, s, kernel.caster, place, up, up, start[mine], a[mine], b[mine])
-            factor = _from_one_test(sources, s, place, up, seen)
+            factor = from_one_test(sources, s, place, up, seen, a[mine])
             light[:, mine] = sources.strength[s][:, None] * factor * upto[-1, mine] / likely[s, mine]
     return light
-
-
-def _from_one_test(sources, s, position, normal, seen):
-    """(K,) irradiance per unit of strength from a test ray of weight `seen` (K,) to source s. From afar the place that
-    was tested stands for the whole source: shadow and distance keep their correlation."""
-    if sources.kind[s] != FLAT:
-        return unoccluded(sources, s, position, normal) * (seen > 0)
-    toward = position - sources.position[s]
-    height, area = dot(toward, sources.direction[s]), sources.area(s)
-    factor = seen * np.abs(height) * area / np.pi
-    if not sources.two_sided[s]:
-        factor = np.where(height > 0, factor, 0.0)
-    close = np.flatnonzero((area >= CLOSE * np.pi * dot(toward, toward)) & (seen > 0))
-    if len(close):
-        factor[close] = unoccluded(sources, s, position[close], normal[close])
-    return factor
 
 
 def read_light(light, side):

@@ -16,7 +16,7 @@ from .anew import read_light, reflect_anew
 from .gather import SEEDS, TASK_RAYS, above_surface, direction_tables, world_rays
 from .kernel import blocks
 from .lights import test_rays, unoccluded
-from .sampling import R2, R5, scatter
+from .sampling import R2, R5, fraction, scatter
 from .vectors import ratio
 
 CONTROL = 6  # salt of the sample sequences
@@ -135,7 +135,7 @@ def control_points(kernel, ids, rays, seed):
 def _samples(ids, rays, seed):
     """(5, K * rays) samples in [0, 1) of the rays of points ids (K,): the R5 sequence, shifted by point."""
     shift = scatter(5 * ids.astype(np.int64)[:, None] + np.arange(5), CONTROL + 8 * seed)
-    return ((shift.T[:, :, None] + R5[:, None, None] * np.arange(rays)) % 1.0).reshape(5, -1)
+    return fraction(shift.T[:, :, None] + R5[:, None, None] * np.arange(rays)).reshape(5, -1)
 
 
 def _direct(kernel, ids, tests, seed):
@@ -157,7 +157,7 @@ def _direct(kernel, ids, tests, seed):
         count = max(int(np.ceil(tests * share[s])), FEWEST_TESTS)
         owner, number = np.repeat(np.arange(len(ids)), count), np.arange(count)
         shift = scatter(ids.astype(np.int64)[:, None] * 2 + np.arange(2) + (s << 40), CONTROL + 8 * seed)
-        a, b = ((number * R2[k] + shift[:, k, None]) % 1.0 for k in range(2))
+        a, b = (fraction(number * R2[k] + shift[:, k, None]) for k in range(2))
         each = (x[owner] for x in (position, normal, geometric, start))
         weight, seen = test_rays(sources, s, kernel.caster, *each, a.reshape(-1), b.reshape(-1))
         visible = ratio(*(np.einsum("kn->k", x.reshape(-1, count)) for x in (seen, weight)))

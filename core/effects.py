@@ -17,7 +17,7 @@ from .graphs import components
 from .health import Finding, audit, mend
 from .kernel import cast_arrays
 from .lights import emitting_polygons, lamp_outline, lamp_power
-from .sampling import R2, R4, hemisphere, scatter, tangents
+from .sampling import R2, R4, fraction, hemisphere, scatter, tangents
 from .settings import EFFECTS, Settings
 from .sky import split_sky
 from .surfaces import LARGEST_REFLECTANCE
@@ -582,7 +582,7 @@ def _face_rays(scene, triangle, number, side):
     """Position, normal and direction (K, 3) of cosine-distributed rays from triangles (K,), one each."""
     a, b, c = np.moveaxis(scene.vertices[scene.triangles[triangle]], 1, 0)
     normal = scene.triangle_normal_area[0][triangle] * (1 - 2 * side)
-    u, v, s, t = ((number[:, None] * np.array(R4) + scatter(np.arange(4) + 4 * side, 13)) % 1.0).T
+    u, v, s, t = fraction(number[:, None] * np.array(R4) + scatter(np.arange(4) + 4 * side, 13)).T
     # A little inside: rays from the very rim of a face see past its neighbors.
     root, t = np.sqrt(INSIDE * s)[:, None], INSIDE * t[:, None] + (1 - INSIDE) / 2
     position = a + root * (1 - t) * (b - a) + root * t * (c - a)
@@ -594,12 +594,12 @@ def _face_rays(scene, triangle, number, side):
 def _lamp_rays(lamp):
     """Position, offset normal (0) and direction (K, 3) of rays from a point, spot or area lamp."""
     number = np.arange(LAMP_RAYS) + 0.5
-    u, v = number / LAMP_RAYS, (number * R2[0]) % 1.0
+    u, v = number / LAMP_RAYS, fraction(number * R2[0])
     x, y, z = np.asarray(lamp.axes, float)
     position = np.broadcast_to(np.asarray(lamp.position, float), (LAMP_RAYS, 3))
     if lamp.kind == "area":
         local = hemisphere(u, v)
-        a, b = (number * R4[2]) % 1.0 - 0.5, (number * R4[3]) % 1.0 - 0.5
+        a, b = fraction(number * R4[2]) - 0.5, fraction(number * R4[3]) - 0.5
         position = position + a[:, None] * lamp.size[0] * x + b[:, None] * lamp.size[1] * y
     else:
         # Evenly over the sphere, or the part of it in the cone.

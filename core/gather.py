@@ -19,7 +19,7 @@ from .kernel import blocks
 from .lights import FLAT, test_rays, unoccluded
 from .points import pairs
 from .records import to_arrays
-from .sampling import R2, hemisphere, lattice, scatter, tangents
+from .sampling import R2, fraction, hemisphere, lattice, scatter, tangents
 from .vectors import counted, ratio
 
 TASK_RAYS = 1 << 15  # of one task: some 10 ms
@@ -467,8 +467,8 @@ def world_rays(tables, ids, normal, seed):
     replicates would differ by one and the same shift at all points, and their scatter would show one draw, not many.
     """
     place = np.asarray(ids, np.int64) * (1 + seed // SEEDS % REPLICATES)
-    table = ((place * R2[0]) % 1.0 * TABLES).astype(np.int64)
-    turn = 2 * np.pi * ((place * R2[1] + scatter(np.arange(1), GATHER + 8 * seed + 4)) % 1.0)
+    table = (fraction(place * R2[0]) * TABLES).astype(np.int64)
+    turn = 2 * np.pi * fraction(place * R2[1] + scatter(np.arange(1), GATHER + 8 * seed + 4))
     t1, t2 = tangents(normal)
     cosine, sine = np.cos(turn)[:, None], np.sin(turn)[:, None]
     frame = np.stack([cosine * t1 + sine * t2, cosine * t2 - sine * t1, normal], axis=1).astype(np.float32)
@@ -490,4 +490,4 @@ def above_surface(directions, geometric):
 def _test_places(ids, number, s, seed):
     """Places a, b (K,) on source s for test rays `number` (K,) of points ids (K,): the R2 sequence, shifted by point."""
     shift = scatter(np.arange(2) + 2 * s, TEST + 8 * seed)
-    return tuple((ids * APART[k] + number * R2[k] + shift[k]) % 1.0 for k in range(2))
+    return tuple(fraction(ids * APART[k] + number * R2[k] + shift[k]) for k in range(2))

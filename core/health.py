@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .raycast import OFFSET, RayCaster
-from .sampling import hemisphere, lattice, scatter, tangents
+from .sampling import fraction, hemisphere, lattice, scatter, tangents
 from .surfaces import LARGEST_REFLECTANCE
 from .vectors import dot, length
 
@@ -292,7 +292,7 @@ def _closed_in_white(scene, white):
             facing = dot(lamp - place, normal) > 0
             lit[alive] |= facing & ~caster.blocked(origin, np.broadcast_to(caster.place(lamp), origin.shape))
         shift = scatter(alive * 2 + np.array([[0], [1]]), 31 + bounce)
-        local = hemisphere((u[alive] + shift[0]) % 1.0, (v[alive] + shift[1]) % 1.0)
+        local = hemisphere(fraction(u[alive] + shift[0]), fraction(v[alive] + shift[1]))
         t1, t2 = tangents(normal)
         direction = local[:, :1] * t1 + local[:, 1:2] * t2 + local[:, 2:] * normal
         hit, a, b, _, back = caster.hits(origin, direction.astype(np.float32))

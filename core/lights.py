@@ -12,7 +12,7 @@ from time import thread_time
 import numpy as np
 
 from .polygons import polygon_factor
-from .sampling import lattice, tangents
+from .sampling import fraction, lattice, tangents
 from .sky import split_sky
 from .vectors import TINY, cross, dot, length, ratio, unit
 
@@ -26,6 +26,7 @@ SHORT = 1 - 1e-5  # share of the way to a lamp that must be free: one that lies 
 PLACES = 144  # on a lamp of limited spread that its light is summed over
 FULL_SPREAD = 1.5697  # half angle beyond which a lamp shines in all directions alike [rad]
 DISK_PLACES = 32  # on a spot's disk that its cone is averaged over
+CLOSE = 0.3  # a source that fills more than this share of a hemisphere's unit disk is close: its exact factor is taken
 DISK_SIDES = 24  # of the polygon, equal in area, that stands for a disk or ellipse
 
 
@@ -161,16 +162,61 @@ def unoccluded(sources, s, position, normal):
             factor[cut] = polygon_factor(position[cut], normal[cut], disk) / radius**2
     if sources.cone[s, 0] > -1:
         lit = np.flatnonzero(factor)
-        if radius > 0:  # each part of the disk shines by its own place in the cone
-            a, b = (np.tile(x, len(lit)) for x in lattice(DISK_PLACES))
-            place = np.repeat(position[lit], DISK_PLACES, axis=0)
-            each = _on_disk(sources, s, place, a, b) - place
-            weight = np.maximum(dot(each.reshape(-1, DISK_PLACES, 3), normal[lit][:, None]), 0.0)
-            inside = weight * _in_cone(sources, s, each).reshape(weight.shape)
-            factor[lit] *= ratio(np.einsum("kj->k", inside), np.einsum("kj->k", weight))
-        else:
-            factor[lit] *= _in_cone(sources, s, toward[lit])
+        factor[lit] *= _cone_share(sources, s, position[lit], normal[lit])
     return factor
+
+
+def from_one_test(sources, s, position, normal, seen, a):
+    """(K,) irradiance per unit of strength that points get from source s by one test ray each, of weight `seen` (K,), to
+    the place a (K,).
+
+    The place that was tested stands for the whole source, so that shadow, distance and cone keep their correlation. Only
+    close to a polygon, where one place says little of the others, its exact factor is taken, which costs far more.
+    """
+    kind, radius = sources.kind[s], sources.radius[s]
+    if kind not in (FLAT, BALL) or (kind == BALL and radius == 0):
+        return unoccluded(sources, s, position, normal) * (seen > 0)
+    toward = sources.position[s] - position
+    square = dot(toward, toward)
+    if kind == BALL:
+        distance, reach = np.sqrt(square), square + radius * radius
+        spread = reach if sources.soft[s] else np.maximum(square, radius * radius)
+        cut = dot(toward, normal) ** 2 * reach < square * radius * radius  # the horizon cuts the disk
+        return np.where(
+            cut, distance * ratio(seen, (square + radius * radius * a) ** 2), ratio(seen, distance * spread)
+        )
+    height, area = -dot(toward, sources.direction[s]), sources.area(s)
+    factor = seen * np.abs(height) * area / np.pi
+    if not sources.two_sided[s]:
+        factor = np.where(height > 0, factor, 0.0)
+    close = np.flatnonzero((area >= CLOSE * np.pi * square) & (seen > 0))
+    if len(close):
+        factor[close] = unoccluded(sources, s, position[close], normal[close])
+    return factor
+
+
+def _cone_share(sources, s, position, normal):
+    """(K,) share of a spot's light toward points that its cone lets through."""
+    toward, radius = sources.position[s] - position, sources.radius[s]
+    share = _in_cone(sources, s, toward)
+    if radius == 0:
+        return share
+    # Each part of the disk shines by its own place in the cone. Most points see the whole disk, or nothing of it, in full
+    # light, as they see its center: the others alone have their places looked at, which takes thirty times as long.
+    square = dot(toward, toward)
+    along = -dot(toward, sources.direction[s])
+    across = radius * np.sqrt(np.maximum(ratio(square - along * along, square), 0.0))
+    reach = np.sqrt(square + radius * radius)
+    edge, blend = sources.cone[s]
+    whole = along - across >= (edge + (1.0 - edge) * blend) * reach
+    none = (along + across <= edge * reach) & (along * reach < square)  # and the axis does not meet the disk
+    mixed = np.flatnonzero(~(whole | none))
+    place = position[mixed, None]
+    each = _on_disk(sources, s, place, *lattice(DISK_PLACES)) - place
+    weight = np.maximum(dot(each, normal[mixed, None]), 0.0)
+    inside = weight * _in_cone(sources, s, each)
+    share[mixed] = ratio(np.einsum("kj->k", inside), np.einsum("kj->k", weight))
+    return share
 
 
 def likely_light(sources, s, position, normal):
@@ -413,19 +459,19 @@ def _sky_directions(sources, s, a, b):
     """(K, 3) unit vectors toward places spread evenly over a group of the sky's directions."""
     group = sources.polygon(s)
     number = np.minimum((a * len(group)).astype(np.int64), len(group) - 1)
-    x, y = _disk((a * len(group)) % 1.0, b)
+    x, y = _disk(fraction(a * len(group)), b)
     t1, t2 = tangents(group[number])
     return unit(group[number] + sources.radius[s] * (x[:, None] * t1 + y[:, None] * t2))
 
 
 def _on_disk(sources, s, position, a, b):
-    """(K, 3) places spread evenly over a lamp's disk, which faces each of the positions (K, 3)."""
+    """(..., 3) places a, b (...) in [0, 1), spread evenly, of a lamp's disk, which faces each of the positions (..., 3)."""
     if sources.radius[s] == 0:
         return np.broadcast_to(sources.position[s], (len(a), 3))
     toward = sources.position[s] - position
-    t1, t2 = tangents(unit(toward, (0.0, 0.0, 1.0)))
+    t1, t2 = tangents(toward / np.maximum(length(toward), TINY)[..., None])
     x, y = _disk(a, b)
-    return sources.position[s] + sources.radius[s] * (x[:, None] * t1 + y[:, None] * t2)
+    return sources.position[s] + sources.radius[s] * (x[..., None] * t1 + y[..., None] * t2)
 
 
 def _disk(a, b):

