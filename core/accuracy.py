@@ -27,6 +27,7 @@ CERTAIN = 2.0  # and those that must be, before rays are spent against it
 SMALL = 0.4  # noise of this share of what replicates share is as good as none
 MOST_RAYS = 4096  # of one replicate
 WORTH = 0.3  # of the rays so far: fewer in another replicate would not be worth another look
+AGAIN = 1.25  # times the rays that a pilot's noise calls for: at its next look a bake may find that there is more to do
 STEPS_OF_RAYS = (8, 16, 32, 64, 128, 256, 512, 1024)  # of a replicate at some objects
 RARE = 1e-3  # objects darker than this share of the scene's mean are not looked at one by one
 
@@ -171,14 +172,14 @@ class Price:
 
 def price_of(error, estimate, gathering, work, spent, rate, control, memory_mb):
     """The Price of an error, from the Estimate of a pilot and its Gathering. work: of patches and rows, as a multiple of the
-    pilot's; spent: (seconds that grow with it, all others); rate: seconds that a gather ray takes at every point;
-    control: seconds that its control takes more, if the error is smaller than the pilot's."""
+    pilot's; spent: (seconds that grow with it, all others); rate: seconds that another replicate takes at all points however
+    few its rays, and that each of its rays takes; control: seconds that its control takes more."""
     rays = int(gathering.rays.max(initial=0))
-    more = rays_wanted(estimate, rays, error)
+    more = int(AGAIN * rays_wanted(estimate, rays, error))
     points = 3e-5 * len(gathering.points) * (more > 0)  # of one more replicate [MB]
     return Price(
         error,
-        work * spent[0] + spent[1] + rate * more + control * (more > 0),
+        work * spent[0] + spent[1] + rate[0] * (more > 0) + rate[1] * more + control,
         memory_mb * (1 + work) / 2 + points,
         rays + more,
     )

@@ -25,7 +25,7 @@ from .accuracy import (
 from .cells import LocalCells, peak_memory
 from .contacts import cut_contacts
 from .control import Control, Traced, draw_control
-from .costs import with_costs
+from .costs import ROWS, with_costs
 from .effects import Survey, simplified, survey
 from .gather import Gathering, Light, light_arrays, patch_light, sides_of
 from .groups import Groups, make_groups, scaled, weighted
@@ -50,6 +50,7 @@ EASED, EASED_FINE = 4.0, 2.0  # times the length of patches where nothing casts 
 PRICED = (0.1, 0.05, 0.02, 0.01, 0.005)  # errors of the price list
 IN_TIME = 0.9  # of the time that is left is spent on another replicate
 PILOT = 2  # replicates of the pilot: how they scatter shows their noise
+ANY_RAYS = 0.9  # of the seconds of a small replicate's test rays: they are spent for whatever number of rays
 CONTROL_POINTS = 320
 EACH_OBJECT = 24  # of them, if every object is to reach the error
 MOST_CONTROL_POINTS = 2000
@@ -313,7 +314,7 @@ class _Course:
         if self.estimate is None:
             return ()
         seconds, used = self._seconds(), self.clock.cells()
-        rate = seconds["replicates"] / max(seconds["rays"], 1e-9)
+        rate = self._replicate_price(seconds)
         grows = seconds["patches"] + seconds["transport"]
         spent = grows, sum(seconds[p] for p in ("survey", "patches", "transport")) - grows
         memory = used["host_mb"] + sum(used["cells_mb"])
@@ -323,12 +324,24 @@ class _Course:
             for error, w in zip(errors, work)
         )
 
+    def _replicate_price(self, seconds):
+        """Seconds that another replicate takes however few its rays, and that each of its rays takes: most of the test rays
+        toward sources are cast in any case."""
+        parts, count = self.clock.parts(), max(len(self.gathering.gathered.replicates), 1)
+        tests = parts.get("sources", 0.0) / max(parts.get("gather", 0.0), 1e-9)
+        fixed = ANY_RAYS * min(tests, 1.0) * seconds["replicates"] / count
+        return fixed, (seconds["replicates"] - count * fixed) / max(seconds["rays"], 1e-9)
+
     def _control_price(self, error):
-        """Seconds that the control will take more, if a smaller error is to be known: its doubt falls with its rays."""
+        """Seconds that the control will take more, if an error is to be known that is not there: its doubt falls with its rays."""
+        if self.estimate.total <= ENOUGH * error and error >= self.settings.error:
+            return 0.0
         have = self.control.rays
         wanted = have * self.estimate.doubt / (UNSURE * (AIM * error) ** 2)
-        more = max(min(wanted, MOST_CONTROL_RAYS) - have, 0.0)
-        return more * self._control_seconds / max(self._control_rays, 1)
+        rays = max(have, _control_rays(replace(self.settings, error=error)))
+        while rays < min(wanted, MOST_CONTROL_RAYS):
+            rays *= 2
+        return (rays - have) * self._control_seconds / max(self._control_rays, 1)
 
     def _row_work(self, errors):
         """What patches and rows cost at the errors, as multiples of what they do at the settings of this bake."""
@@ -338,7 +351,14 @@ class _Course:
         sizes = [patch_size(self.scene, k) for k in knobs]
         different = sorted(set(sizes))
         count = dict(zip(different, count_patches(self.scene, different)))
-        own, *others = (sqrt(k.row_rays) * count[size] for k, size in zip(knobs, sizes))
+        # Direct light takes as long as there are patches; rows take longer the longer they are.
+        parts, solve = self.clock.parts(), self.clock.watched
+        direct = parts.get("direct", 0.0)
+        rows = sum(parts.get(name, 0.0) for name in ROWS) + solve
+        direct /= max(direct + rows, 1e-9)
+        own, *others = (
+            (direct + (1 - direct) * sqrt(k.row_rays / knobs[0].row_rays)) * count[s] for k, s in zip(knobs, sizes)
+        )
         return [work / max(own, 1.0) for work in others]
 
     def _seconds(self):

@@ -2,11 +2,22 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from cell_radiosity.core.accuracy import AIM, AIM_EACH, Estimate, noise_after, rays_by_object, rays_wanted
-from cell_radiosity.core.bake import price
+from cell_radiosity.core.accuracy import (
+    AGAIN,
+    AIM,
+    AIM_EACH,
+    Estimate,
+    noise_after,
+    price_of,
+    rays_by_object,
+    rays_wanted,
+)
+from cell_radiosity.core.bake import _Course, price
 from cell_radiosity.core.cells import LocalCells
 
 from scenes import Material, Settings, bake, box, join_meshes, run, sheet
@@ -86,6 +97,35 @@ def test_price_list_is_the_pilots():
     assert rows[0].seconds <= rows[1].seconds < rows[2].seconds
     assert [r.error for r in rows] == [0.5, 0.02, 0.002]
     assert all(r.memory_mb > 0 for r in rows)
+
+
+def test_a_price_is_made_of_what_grows_and_what_does_not():
+    """Patches and rows by their work; a replicate by what it takes at all and by its rays; nothing for one that there is
+    not."""
+    gathering = SimpleNamespace(rays=np.array([8.0, 16.0]), points=range(1000))
+    known = Estimate(total=0.03, noise=0.03)
+
+    def of(error, rate=(0.5, 0.01)):
+        return price_of(error, known, gathering, 3.0, (2.0, 4.0), rate, 0.25, 100.0)
+
+    assert of(0.05).rays == 16
+    assert of(0.05).seconds == 3 * 2.0 + 4.0 + 0.25
+    more = of(0.01).rays - 16
+    assert more == int(AGAIN * rays_wanted(known, 16, 0.01))
+    assert of(0.01).seconds == pytest.approx(3 * 2.0 + 4.0 + 0.25 + 0.5 + 0.01 * more)
+
+
+def test_test_rays_are_foretold_once_for_a_replicate_of_many_rays():
+    """A replicate of 20 times the rays costs far less than 20 times as much where test rays toward many lamps are most of
+    it: what is foretold is the same share of the time that the pilot's replicates took."""
+    course = _Course(furnished(), Settings(), LocalCells())
+    course.gathering = SimpleNamespace(gathered=SimpleNamespace(replicates=[None, None]))
+    course.clock.parts = lambda: {"gather": 10.0, "sources": 8.0}
+    fixed, each = course._replicate_price({"replicates": 2.0, "rays": 16.0})
+    assert 2 * fixed + 16 * each == pytest.approx(2.0)
+    assert 0.6 < fixed < 0.8
+    course.clock.parts = lambda: {"gather": 10.0}
+    assert course._replicate_price({"replicates": 2.0, "rays": 16.0}) == (0.0, 0.125)
 
 
 def test_a_time_is_used_and_kept():
