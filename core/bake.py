@@ -58,10 +58,11 @@ MOST_REPLICATES = 40  # where objects are gathered one by one
 CONTROL_RAYS = ((0.03, 16), (0.015, 32), (0.0, 64))  # of each truth at first, from an error on
 SURE_RAYS = 64  # with so many, doubts far below the error asked for do not matter
 MOST_CONTROL_RAYS = 1024
-UNSURE = 0.5  # of the square of the noise: a doubt above that asks for more control rays
+UNSURE = 0.7  # of the square of the noise: a doubt above that asks for more control rays
 UNSURE_ABOVE = 0.15  # the same, where the error asked for seems out of reach of what was gathered
 SOLVED = 0.25  # of the error asked for: a known transport whose bound is below that is good enough
-HELP = 0.8  # of its doubt may be left after twice as many control rays; with more they are of no use
+HELP = 0.7  # of its doubt may be left after twice as many control rays; with more they are of no use
+CONTROL_COST = 6  # gather rays that a control ray costs: those of both truths, each with a test ray and one more
 
 
 @dataclass(frozen=True)
@@ -379,9 +380,9 @@ class _Course:
         self._estimate()
         # More rays where the control itself is in doubt, as long as they help; above all before rays are spent at all
         # points against what may be chance.
-        while self.estimate.doubt < HELP * self._doubt and self.control.rays < MOST_CONTROL_RAYS and self._unsure():
+        while self.control.rays < MOST_CONTROL_RAYS and (more := self._more_control()):
             self._doubt = self.estimate.doubt
-            yield from self._trace(self.control.trace(self.control.rays))
+            yield from self._trace(self.control.trace(more))
             self._estimate()
 
     def _trace(self, tracing):
@@ -391,13 +392,20 @@ class _Course:
         self._control_seconds += perf_counter() - begun
         self._control_rays += self.control.rays - before
 
-    def _unsure(self):
-        """Whether the control knows too little of what replicates share, where their noise is small enough."""
-        error, found = self.settings.error, self.estimate
-        share = UNSURE if found.total <= ENOUGH * error else UNSURE_ABOVE
+    def _more_control(self):
+        """How many more control rays are to be traced, 0 for none: if too little is known of what replicates share, where
+        their noise is small enough, and if rays help."""
+        error, found, rays = self.settings.error, self.estimate, self.control.rays
+        if found.noise > ENOUGH * error or found.doubt > HELP * self._doubt:
+            return 0
+        share, wanted = UNSURE, self._rays_wanted() * len(self.points)
+        if wanted:  # what is cheaper comes first: to gather more, or to know better whether it must be
+            share = UNSURE_ABOVE
+            if wanted < CONTROL_COST * rays * len(self.control.ids):
+                return 0
         # What is known at little cost is known well beside the noise; beyond that, beside what was asked for.
-        least = SMALL * error if self.control.rays >= SURE_RAYS else 0.0
-        return found.noise <= ENOUGH * error and found.doubt > share * max(found.noise, least) ** 2
+        least = SMALL * error if rays >= SURE_RAYS else 0.0
+        return rays if found.doubt > share * max(found.noise, least) ** 2 else 0
 
     def _estimate(self):
         free = self.gathering.gathered.closest > CROWDED
