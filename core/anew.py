@@ -10,6 +10,7 @@ import numpy as np
 
 from .lights import from_one_test, likely_light, test_rays
 from .sampling import hemisphere, tangents
+from .scene import normal_and_area
 
 
 def reflect_anew(kernel, hit, chosen, x):
@@ -21,7 +22,7 @@ def reflect_anew(kernel, hit, chosen, x):
     a, b, c = np.moveaxis(kernel.vertices[kernel.triangles[triangle]], 1, 0)
     u, v = hit.u[chosen, None].astype(float), hit.v[chosen, None].astype(float)
     position = a + u * (b - a) + v * (c - a)
-    normal = kernel.triangle_normal[triangle] * np.where(back, -1.0, 1.0)[:, None]
+    normal = normal_and_area(a, b, c)[0] * np.where(back, -1.0, 1.0)[:, None]
     start = kernel.caster.start(position, normal)
     arriving = _one_source(kernel, position, normal, start, x[0], x[1], x[2])
     local = hemisphere(x[3], x[4])

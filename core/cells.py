@@ -31,6 +31,7 @@ from .tasks import TASKS
 BOOT = os.path.join(os.path.dirname(os.path.abspath(__file__)), "cell_boot.py")
 AHEAD = 3  # tasks that a cell holds at a time, so that it never waits for the host,
 LAST = 2  # and when there are fewer tasks left than cells
+FLOW = 2 * AHEAD  # tasks of a flow for each cell
 LOOK = 8  # tasks from one look at the memory used to the next: a look takes half a millisecond
 PATIENCE = 20.0  # seconds without a sign of life from a cell that has work, after which it is replaced
 RESTARTS = 3  # per cell; beyond them the tasks run in this process
@@ -107,6 +108,16 @@ class Cells:
                 if number in ids and all(k in kept for k in ids):
                     break
         return [kept.pop(k) for k in ids]
+
+    def flow(self, name, each):
+        """Yield the results of tasks in order. each: iterable of their arguments, which are made as cells come free, so that
+        those of all tasks are never held at a time."""
+        waiting = deque()
+        for arguments in each:
+            waiting.append(self.submit(name, **arguments))
+            if len(waiting) > FLOW * self.count:
+                yield from self.take([waiting.popleft()])
+        yield from self.take(list(waiting))
 
     def brought(self, ids):
         """{id: result} of those of some tasks whose results have come and were not taken yet."""

@@ -9,13 +9,12 @@ from __future__ import annotations
 import numpy as np
 
 from .points import pairs
-from .vectors import dot, length
+from .vectors import dot, length, runs
 
 STEPS = 6  # diffusion steps of the filter
 COLUMNS = 8  # neighbors of a point that are summed with those of all others
 NEARBY = 8  # steps along edges over which noise is compared
 SMOOTH = 0.9510565162951535  # cosine of 18 degrees: the largest turn between points that the filter mixes
-BLOCK = 1 << 14  # points at a time
 VALUES = 1 << 17  # at a time: of so many points all rows of light together, of more row by row
 
 
@@ -40,7 +39,7 @@ class Filter:
         self._share = np.zeros((wide, count), np.float32)
         self._stays, self._number = np.ones(count), np.ones(count, np.int32)
         left = [(np.zeros(0, np.int32), np.zeros(0, np.int32), np.zeros(0, np.float32))]
-        for part in _blocks(count):
+        for part in runs(count):
             here, there = pairs(points, np.arange(part.start, part.stop))
             edges = slice(points.neighbor_start[part.start], points.neighbor_start[part.stop])
             own = here + part.start
@@ -106,7 +105,7 @@ class Filter:
     def _summed(self, light, share):
         """What stays of light (K, P + 1) and what neighbors give; share: (W, P) of theirs. None: all of all."""
         result = np.zeros_like(light)
-        for part in _blocks(light.shape[1] - 1):
+        for part in runs(light.shape[1] - 1):
             own = result[:, part]
             np.multiply(light[:, part], 1.0 if share is None else self._stays[part], out=own)
             for k, neighbor in enumerate(self._neighbor[:, part]):
@@ -120,8 +119,3 @@ class Filter:
                 far *= self._weight
             result[:, self._joined] += np.add.reduceat(far, self._start, axis=1)
         return result
-
-
-def _blocks(count):
-    """Slices that cut points into blocks."""
-    return [slice(k, min(k + BLOCK, count)) for k in range(0, count, BLOCK)]

@@ -17,7 +17,6 @@ from .patches import Patches, patch_of_hit
 from .points import Points
 from .raycast import RayCaster
 from .records import from_arrays, to_arrays
-from .scene import normal_and_area
 from .sky import cells_of
 
 NONE = np.zeros(0)  # stands for an array that there is not: cells keep what they are not given anew
@@ -102,11 +101,6 @@ class Kernel:
         return from_arrays(Points, "points", self.arrays)
 
     @cached_property
-    def triangle_normal(self):
-        """(T, 3) unit normals of the scene's triangles."""
-        return normal_and_area(*np.moveaxis(self.vertices[self.triangles], 1, 0))[0]
-
-    @cached_property
     def element_corners(self):
         """Corners (M, 4, 3) of the patches' elements, a triangle's last one twice, and the patch (M,) of each."""
         p, a, b = np.moveaxis(self.patches.element_frame, 1, 0)
@@ -118,7 +112,7 @@ class Kernel:
         """A kernel with some arrays replaced; what was built from the others is kept."""
         kernel = Kernel({**self.arrays, **arrays})
         built = {
-            "caster": "scene.", "triangle_normal": "scene.", "patches": "patches.", "element_corners": "patches.", "sources": "sources.",
+            "caster": "scene.", "patches": "patches.", "element_corners": "patches.", "sources": "sources.",
             "points": "points.",
         }  # fmt: skip
         for name, prefix in built.items():

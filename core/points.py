@@ -13,7 +13,7 @@ import numpy as np
 
 from .raycast import OFFSET
 from .sampling import morton_order
-from .vectors import counted, dot, length, unit
+from .vectors import counted, dot, length, runs, unit
 
 SAME_NORMAL = 0.99984769515639127  # cosine of one degree
 INWARD = 1e-3  # how far a point moves from its vertex toward the middle of its faces
@@ -61,59 +61,89 @@ def make_points(scene, flipped=None, cells=None):
     flipped: (P,) bool, polygons whose back side's light is asked for. cells: started with `kernel.scene_arrays`, to keep
     points clear of surfaces that pass through or beside their vertices; None leaves them where they are.
     """
+    corners = _Corners(scene, flipped)
+    point = group_corners(corners.vertex, corners.normals(slice(None)))
     size = np.diff(scene.polygon_start)
-    polygon_area = np.bincount(
-        scene.triangle_polygon[scene.solid], scene.triangle_normal_area[1][scene.solid], len(size)
-    )
-    wanted = scene.written[scene.polygon_object] & (polygon_area > 0)
-    polygon = np.repeat(np.arange(len(size)), size)
-    corner = np.flatnonzero(wanted[polygon])
-    polygon = polygon[corner]
-    vertex = scene.corner_vertex[corner]
-    face_normal = _face_normals(scene)
-    normal = scene.corner_normal[corner]
-    if flipped is not None and flipped.any():
-        sign = np.where(flipped, -1.0, 1.0)[:, None]
-        face_normal, normal = face_normal * sign, normal * sign[polygon]
-    normal = unit(normal, face_normal[polygon])  # a custom normal may be 0 or NaN
-
-    point = group_corners(vertex, normal)
-    inner, width, stout = _insides(scene, corner)
-    place, toward, facing = scene.vertices[vertex], inner - scene.vertices[vertex], face_normal[polygon]
-    share = np.full(len(corner), INWARD)
-    if cells is not None and len(corner):
-        crossed, share = _clear_of_others(scene, cells, place, toward, facing)
-        point = _part(scene, cells, point, crossed, place + share[:, None] * toward, facing)
+    move, width, stout, crossed = _moves(scene, corners, cells)
+    if cells is not None and len(point):
+        point = _part(scene, cells, corners, point, crossed, move)
+    del crossed
 
     count = int(point.max(initial=-1)) + 1
-    weight = polygon_area[polygon] / size[polygon]
+    weight = (corners.polygon_area / np.maximum(size, 1))[corners.polygon]
     area = np.bincount(point, weight, count)
-    first = np.zeros(count, np.int64)
-    first[point[::-1]] = np.arange(len(corner))[::-1]
-    normal = unit(_mean(normal, point, weight, count), normal[first])
-    geometric = unit(_mean(facing, point, weight, count), facing[first])
-    move = _mean(share[:, None] * toward, point, np.maximum(width, 1e-300), count)
-    position = place[first] + move + _lift(scene, move, point, geometric, facing)
+    first = np.zeros(count, np.int32)
+    first[point[::-1]] = np.arange(len(point), dtype=np.int32)[::-1]
+    normal = _mean(corners.normals(slice(None)), point, weight, count)
+    normal = unit(normal, corners.normals(first))
+    facing = corners.face_normal
+    geometric = np.stack(
+        [np.bincount(point, weight * facing[corners.polygon, k], count) / area for k in range(3)], axis=1
+    )
+    geometric = unit(geometric, corners.facing(first))
+    del weight
+    move = _mean(move, point, np.maximum(width, 1e-300), count)
+    del width
+    position = scene.vertices[corners.vertex[first]] + move
+    position += _lift(scene, corners, move, point, geometric)
     thin = np.ones(count, bool)
     thin[point[stout]] = False
+    smooth = _smooth(scene, facing)[corners.vertex[first]]
+    object = scene.polygon_object[corners.polygon[first]]
+    corner = corners.corner
+    del corners, facing, move, stout, first
 
     order = morton_order(position)
-    rank = np.empty(count, np.int64)
-    rank[order] = np.arange(count)
-    neighbor_start, neighbor = _neighbors(scene, corner, rank[point], count)
+    rank = np.empty(count, np.int32)
+    rank[order] = np.arange(count, dtype=np.int32)
+    point = rank[point]
+    neighbor_start, neighbor = _neighbors(scene, corner, point, count)
     return Points(
         position=position[order],
         normal=normal[order],
         geometric=geometric[order],
         area=area[order],
-        object=scene.polygon_object[polygon[first]][order],
-        smooth=_smooth(scene, face_normal)[vertex[first]][order],
+        object=object[order],
+        smooth=smooth[order],
         neighbor_start=neighbor_start,
         neighbor=neighbor,
-        corner=corner.astype(np.int32),
-        corner_point=rank[point].astype(np.int32),
+        corner=corner,
+        corner_point=point,
         thin=thin[order],
     )
+
+
+class _Corners:
+    """The C corners of a scene that are written, of polygons that have an area: corner, vertex and polygon (C,) int32 of each;
+    wanted (P,) bool, face_normal (P, 3) and polygon_area (P,) of all polygons. flipped: see `make_points`."""
+
+    def __init__(self, scene, flipped):
+        solid, size = scene.solid, np.diff(scene.polygon_start)
+        self.polygon_area = np.bincount(scene.triangle_polygon[solid], scene.triangle_normal_area[1][solid], len(size))
+        self.wanted = wanted = scene.written[scene.polygon_object] & (self.polygon_area > 0)
+        polygon = np.repeat(np.arange(len(size), dtype=np.int32), size)
+        self.corner = np.flatnonzero(wanted[polygon]).astype(np.int32)
+        self.polygon = polygon[self.corner]
+        self.vertex = scene.corner_vertex[self.corner]
+        self.face_normal, self._normal = _face_normals(scene), scene.corner_normal
+        self._flipped = flipped if flipped is not None and flipped.any() else None
+        if self._flipped is not None:
+            self.face_normal = np.where(flipped[:, None], -self.face_normal, self.face_normal)
+
+    def facing(self, rows):
+        """(K, 3) unit normals of the faces of corners, given by their rows."""
+        return self.face_normal[self.polygon[rows]]
+
+    def normals(self, rows):
+        """(K, 3) unit shading normals of corners, given by their rows."""
+        normal, polygon = np.empty((len(self.corner[rows]), 3)), self.polygon[rows]
+        corner = self.corner[rows]
+        for part in runs(len(normal)):
+            own = self._normal[corner[part]]
+            if self._flipped is not None:
+                own = np.where(self._flipped[polygon[part], None], -own, own)
+            normal[part] = unit(own, self.face_normal[polygon[part]])  # a custom normal may be 0 or NaN
+        return normal
 
 
 def pairs(points, ids):
@@ -132,46 +162,72 @@ def _face_normals(scene):
     return np.where((dot(normal, largest) > 0.5)[:, None], normal, largest)
 
 
-def _insides(scene, corner):
-    """A place inside the polygon of each corner (K,), near it whatever the polygon's shape: the middle of the triangles
-    that meet there, (K, 3); the width of the widest of them, (K,) [m]; and whether one is wide enough to stand on, (K,)."""
-    solid = np.flatnonzero(scene.solid)
-    a, b, c = np.moveaxis(scene.vertices[scene.triangles[solid]], 1, 0)
+def _insides(scene, triangle, corner):
+    """A place inside the polygon of each corner (K,), in order, near it whatever the polygon's shape: the middle of the
+    triangles (T,) that meet there, (K, 3); the width of the widest of them, (K,) [m]; and whether one is wide enough to
+    stand on, (K,)."""
+    at = scene.triangle_corner[triangle]
+    a, b, c = np.moveaxis(scene.vertices[scene.corner_vertex[at]], 1, 0)
     longest = np.maximum(np.maximum(length(b - a), length(c - b)), length(a - c))
-    wide = 2 * scene.triangle_normal_area[1][solid] / longest
-    width, stout = np.zeros(len(scene.corner_vertex)), np.zeros(len(scene.corner_vertex), bool)
-    at = scene.triangle_corner[solid]
-    np.maximum.at(width, at.reshape(-1), np.repeat(wide, 3))
-    stout[at[wide > THIN * np.minimum(longest, scene.diagonal)].reshape(-1)] = True
-    count = np.bincount(at.reshape(-1), minlength=len(width))
-    middle = _mean(np.repeat((a + b + c) / 3, 3, axis=0), at.reshape(-1), np.ones(at.size), len(width), at_least=1)
+    wide = 2 * scene.triangle_normal_area[1][triangle] / longest
+    at, count = np.searchsorted(corner, at).reshape(-1), len(corner)
+    width, stout = np.zeros(count), np.zeros(count, bool)
+    np.maximum.at(width, at, np.repeat(wide, 3))
+    stout[at[np.repeat(wide > THIN * np.minimum(longest, scene.diagonal), 3)]] = True
+    middle = _mean(np.repeat((a + b + c) / 3, 3, axis=0), at, np.ones(len(at)), count, at_least=1)
     # A corner without a triangle, where the polygon has no area: its vertex.
-    return (
-        np.where(count[:, None] > 0, middle, scene.vertices[scene.corner_vertex])[corner],
-        width[corner],
-        stout[corner],
-    )
+    there = np.bincount(at, minlength=count) > 0
+    return np.where(there[:, None], middle, scene.vertices[scene.corner_vertex[corner]]), width, stout
 
 
-def _clear_of_others(scene, cells, place, toward, facing):
-    """Which corners have a surface close before or beyond their vertex, (C,) bool; and how far each point should move
-    from it toward the inside of its face, (C,) as a share of the way."""
-    share = np.full(len(place), INWARD)
-    ask = lambda a, b, up, name: ask_segments(cells, name, a, b, up, up)
-    ways = (place + ACROSS * toward, place - ACROSS * toward)
-    crossed = ask(*ways, facing, "blocked")
+def _moves(scene, corners, cells):
+    """Of each corner (C,) how far its point should move from its vertex toward the inside of its face, (C, 3) float32; the
+    width of its face there, (C,) float32 [m], and whether that is wide enough to stand on, (C,); and whether a surface is
+    close before or beyond the vertex, (C,). cells: None looks for no surfaces."""
+    count = len(corners.corner)
+    toward, width = np.empty((count, 3), np.float32), np.empty(count, np.float32)
+    stout, crossed = np.zeros((2, count), bool)
+    order = np.argsort(scene.triangle_polygon, kind="stable")
+    solid = scene.solid & corners.wanted[scene.triangle_polygon]
+    parts = _whole_polygons(corners.polygon)
+    bounds = [corners.polygon[part.start] for part in parts] + [len(scene.polygon_start)]
+    first = np.searchsorted(scene.triangle_polygon, bounds, sorter=order)
+
+    def segments():
+        """Where surfaces are looked for, a task for each block of corners."""
+        for part, *triangles in zip(parts, first[:-1], first[1:]):
+            corner = corners.corner[part]
+            triangle = order[slice(*triangles)]
+            triangle = triangle[solid[triangle]]
+            inner, width[part], stout[part] = _insides(scene, triangle, corner)
+            place = scene.vertices[corners.vertex[part]]
+            way = inner - place
+            toward[part] = way
+            up = corners.facing(part)
+            yield dict(start=place + ACROSS * way, stop=place - ACROSS * way, up=up, stop_up=up)
+
+    if cells is None:
+        for _ in segments():
+            pass
+    else:
+        for part, found in zip(parts, cells.flow("blocked", segments())):
+            crossed[part] = found["blocked"]
     near = np.flatnonzero(crossed)
+    share = np.zeros(0)
     if len(near):
-        begin = BEFORE
-        start, stop = place[near] + begin * toward[near], place[near] - ACROSS * toward[near]
-        reach = ask(start, stop, facing[near], "reach")
-        met = begin - (begin + ACROSS) * reach  # where along the way, 0 at the vertex
-        gap = CLEAR * scene.diagonal / np.maximum(length(toward[near]), 1e-300)
-        share[near] = np.clip(met + gap, INWARD, np.maximum((met + begin) / 2, INWARD))
-    return crossed, share
+        way, place, up = toward[near].astype(float), scene.vertices[corners.vertex[near]], corners.facing(near)
+        reach = ask_segments(cells, "reach", place + BEFORE * way, place - ACROSS * way, up, up)
+        met = BEFORE - (BEFORE + ACROSS) * reach  # where along the way, 0 at the vertex
+        gap = CLEAR * scene.diagonal / np.maximum(length(way), 1e-300)
+        share = np.clip(met + gap, INWARD, np.maximum((met + BEFORE) / 2, INWARD))
+        way *= share[:, None]
+    toward *= INWARD
+    if len(near):
+        toward[near] = way
+    return toward, width, stout, crossed
 
 
-def _part(scene, cells, point, crossed, place, facing):
+def _part(scene, cells, corners, point, crossed, move):
     """The number (C,) of each corner's point, where those that a surface parts from the first one get another."""
     touched = np.zeros(int(point.max(initial=-1)) + 1, bool)
     touched[point[crossed]] = True
@@ -183,9 +239,10 @@ def _part(scene, cells, point, crossed, place, facing):
             break
         leading = np.append(True, point[left][1:] != point[left][:-1])
         leader = left[leading][np.cumsum(leading) - 1]
-        other = np.flatnonzero(~leading & (dot(facing[left], facing[leader]) > LEVEL))
-        a, b = leader[other], left[other]
-        apart = ask_segments(cells, "blocked", place[a], place[b], facing[a], facing[b])
+        other = np.flatnonzero(~leading & (dot(corners.facing(left), corners.facing(leader)) > LEVEL))
+        ends = leader[other], left[other]
+        places = (scene.vertices[corners.vertex[rows]] + move[rows] for rows in ends)
+        apart = ask_segments(cells, "blocked", *places, *(corners.facing(rows) for rows in ends))
         parted = left[other][apart]
         _, number = np.unique(point[parted], return_inverse=True)
         point[parted] = point.max() + 1 + number.reshape(-1)
@@ -196,18 +253,26 @@ def _part(scene, cells, point, crossed, place, facing):
 def group_corners(vertex, normal, agreement=SAME_NORMAL):
     """(C,) number of the (vertex, normal) pair of each corner: round by round, the first corner left at each vertex
     takes those whose normals' cosine to its own is at least `agreement`."""
-    order = np.argsort(vertex, kind="stable")
-    left, point, count = order, np.empty(len(vertex), np.int64), 0
+    left, point, count = np.argsort(vertex, kind="stable").astype(np.int32), np.empty(len(vertex), np.int32), 0
     while len(left):
         leading = np.append(True, vertex[left][1:] != vertex[left][:-1])
-        run = np.cumsum(leading) - 1
-        leader = left[leading][run]
-        near = dot(normal[left], normal[leader]) >= agreement
-        near |= left == leader
+        run = np.cumsum(leading, dtype=np.int32) - 1
+        leader = left[leading]
+        near = np.empty(len(left), bool)
+        for part in runs(len(left)):
+            first = leader[run[part]]
+            near[part] = dot(normal[left[part]], normal[first]) >= agreement
+            near[part] |= left[part] == first
         point[left[near]] = count + run[near]
         count += run[-1] + 1
         left = left[~near]
     return point
+
+
+def _whole_polygons(polygon):
+    """Slices that cut corners, of polygons (C,) in order, into blocks of whole polygons, each for a task."""
+    start = np.unique(np.searchsorted(polygon, polygon[::TASK_SEGMENTS]))
+    return [slice(a, b) for a, b in zip(start, [*start[1:], len(polygon)])]
 
 
 def ask_segments(cells, name, start, stop, up, stop_up):
@@ -226,37 +291,42 @@ def _mean(values, owner, weight, count, at_least=0.0):
     return np.stack([np.bincount(owner, weight * values[:, k], count) for k in range(3)], axis=1) / total[:, None]
 
 
-def _lift(scene, move, point, geometric, facing):
+def _lift(scene, corners, move, point, geometric):
     """(P, 3) what puts points on top of each of their faces.
 
     The mean of places inside faces that meet at an angle lies below them; the lift undoes that.
     """
-    below = -dot(facing, move[point])
     lift = np.zeros(len(move))
-    slope = np.maximum(dot(facing, geometric[point]), SHARPEST)
-    np.maximum.at(lift, point, (below + OFFSET * scene.diagonal * (1 - slope)) / slope)
+    for part in runs(len(point)):
+        facing, own = corners.facing(part), point[part]
+        slope = np.maximum(dot(facing, geometric[own]), SHARPEST)
+        np.maximum.at(lift, own, (OFFSET * scene.diagonal * (1 - slope) - dot(facing, move[own])) / slope)
     return lift[:, None] * geometric
 
 
 def _smooth(scene, face_normal):
     """(V,) bool: vertices whose faces bend little, and all of whose edges have a face on either side."""
     count, vertex = len(scene.vertices), scene.corner_vertex
-    polygon = np.repeat(np.arange(len(face_normal)), np.diff(scene.polygon_start))
-    normal = face_normal[polygon]
-    mean = unit(np.stack([np.bincount(vertex, normal[:, k], count) for k in range(3)], axis=1))
+    polygon = np.repeat(np.arange(len(face_normal), dtype=np.int32), np.diff(scene.polygon_start))
+    mean = unit(np.stack([np.bincount(vertex, face_normal[polygon, k], count) for k in range(3)], axis=1))
     flat = np.ones(count, bool)
-    flat[vertex[dot(normal, mean[vertex]) < BENT]] = False
+    for part in runs(len(vertex)):
+        own = vertex[part]
+        flat[own[dot(face_normal[polygon[part]], mean[own]) < BENT]] = False
+    del polygon, mean
     following = vertex[_following(scene.polygon_start)]
-    edge = np.minimum(vertex, following) * np.int64(count) + np.maximum(vertex, following)
-    _, place, uses = np.unique(edge, return_index=True, return_counts=True)
-    rim = place[uses == 1]
-    flat[vertex[rim]] = flat[following[rim]] = False
+    edge = np.minimum(vertex, following).astype(np.int64) * count + np.maximum(vertex, following)
+    edge.sort()
+    fresh = np.append(True, edge[1:] != edge[:-1])
+    once = fresh[: len(edge)] & np.append(fresh[1:], True)[: len(edge)]
+    for end in np.divmod(edge[once], max(count, 1)):
+        flat[end] = False
     return flat
 
 
 def _following(polygon_start):
-    """(C,) the corner that follows each corner in its polygon."""
-    following = np.arange(1, polygon_start[-1] + 1)
+    """(C,) int32 the corner that follows each corner in its polygon."""
+    following = np.arange(1, polygon_start[-1] + 1, dtype=np.int32)
     full = polygon_start[1:] > polygon_start[:-1]
     following[polygon_start[1:][full] - 1] = polygon_start[:-1][full]
     return following
@@ -264,11 +334,20 @@ def _following(polygon_start):
 
 def _neighbors(scene, corner, point, count):
     """Where each point's neighbors start (P + 1,), and the neighbors (E,): points at the other ends of polygons' edges."""
-    of_corner = np.full(len(scene.corner_vertex), -1, np.int64)
+    of_corner = np.full(len(scene.corner_vertex), -1, np.int32)
     of_corner[corner] = point
     following = of_corner[_following(scene.polygon_start)[corner]]
-    here, there = np.concatenate([point, following]), np.concatenate([following, point])
-    apart = here != there
-    key = np.unique(here[apart] * max(count, 1) + there[apart])
+    key = np.minimum(point, following).astype(np.int64) * count + np.maximum(point, following)
+    key = _once(key[point != following])
     here, there = np.divmod(key, max(count, 1))
-    return np.searchsorted(here, np.arange(count + 1)).astype(np.int32), there.astype(np.int32)
+    key = np.concatenate([key, there * count + here])
+    key.sort()
+    start = np.zeros(count + 1, np.int32)
+    np.cumsum(np.bincount(here, minlength=count) + np.bincount(there, minlength=count), out=start[1:])
+    return start, (key % max(count, 1)).astype(np.int32)
+
+
+def _once(key):
+    """The different ones of a key (K,), in order; it is sorted in place."""
+    key.sort()
+    return key[np.append(True, key[1:] != key[:-1])] if len(key) else key

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 TINY = 1e-300  # guards divisions by lengths that may be 0
+RUN = 1 << 14  # items: their arrays stay in the processor's cache
 
 
 def dot(a, b):
@@ -43,6 +44,11 @@ def counted(count):
     """For counts (K,): the owner of each of sum(count) items, and its number 0, 1, ... among its owner's."""
     owner = np.repeat(np.arange(len(count)), count)
     return owner, np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
+
+
+def runs(count):
+    """Slices that cut `count` items into runs, so that nothing as long as all of them need be made."""
+    return [slice(k, min(k + RUN, count)) for k in range(0, count, RUN)]
 
 
 def ratio(a, b):

@@ -79,7 +79,7 @@ def test_it_keeps_even_light_and_loses_none(points, links):
 def test_blocks_do_not_change_a_bit(points, links, monkeypatch):
     whole = Filter(points, REACH, links)
     expected = whole.smooth(LIGHT), whole.local_mean(LIGHT)
-    monkeypatch.setattr(module, "BLOCK", 7)
+    monkeypatch.setattr("cell_radiosity.core.vectors.RUN", 7)
     monkeypatch.setattr(module, "VALUES", COUNT)
     cut = Filter(points, REACH, links)
     assert (cut.smooth(LIGHT) == expected[0]).all()
