@@ -82,7 +82,7 @@ def make_points(scene, flipped=None, cells=None):
     )
     geometric = unit(geometric, corners.facing(first))
     del weight
-    move = _mean(move, point, np.maximum(width, 1e-300), count)
+    move = scene.diagonal * _mean(move, point, np.maximum(width, 1e-30), count)
     del width
     position = scene.vertices[corners.vertex[first]] + move
     position += _lift(scene, corners, move, point, geometric)
@@ -182,9 +182,9 @@ def _insides(scene, triangle, corner):
 
 def _moves(scene, corners, cells):
     """Of each corner (C,) how far its point should move from its vertex toward the inside of its face, (C, 3) float32; the
-    width of its face there, (C,) float32 [m], and whether that is wide enough to stand on, (C,); and whether a surface is
-    close before or beyond the vertex, (C,). cells: None looks for no surfaces."""
-    count = len(corners.corner)
+    width of its face there, (C,) float32, both in scene diagonals; whether that is wide enough to stand on, (C,); and
+    whether a surface is close before or beyond the vertex, (C,). cells: None looks for no surfaces."""
+    count, scale = len(corners.corner), max(scene.diagonal, 1e-300)
     toward, width = np.empty((count, 3), np.float32), np.empty(count, np.float32)
     stout, crossed = np.zeros((2, count), bool)
     order = np.argsort(scene.triangle_polygon, kind="stable")
@@ -199,10 +199,10 @@ def _moves(scene, corners, cells):
             corner = corners.corner[part]
             triangle = order[slice(*triangles)]
             triangle = triangle[solid[triangle]]
-            inner, width[part], stout[part] = _insides(scene, triangle, corner)
+            inner, wide, stout[part] = _insides(scene, triangle, corner)
             place = scene.vertices[corners.vertex[part]]
             way = inner - place
-            toward[part] = way
+            toward[part], width[part] = way / scale, wide / scale
             up = corners.facing(part)
             yield dict(start=place + ACROSS * way, stop=place - ACROSS * way, up=up, stop_up=up)
 
@@ -213,17 +213,14 @@ def _moves(scene, corners, cells):
         for part, found in zip(parts, cells.flow("blocked", segments())):
             crossed[part] = found["blocked"]
     near = np.flatnonzero(crossed)
-    share = np.zeros(0)
     if len(near):
-        way, place, up = toward[near].astype(float), scene.vertices[corners.vertex[near]], corners.facing(near)
+        way, place, up = scale * toward[near].astype(float), scene.vertices[corners.vertex[near]], corners.facing(near)
         reach = ask_segments(cells, "reach", place + BEFORE * way, place - ACROSS * way, up, up)
         met = BEFORE - (BEFORE + ACROSS) * reach  # where along the way, 0 at the vertex
         gap = CLEAR * scene.diagonal / np.maximum(length(way), 1e-300)
         share = np.clip(met + gap, INWARD, np.maximum((met + BEFORE) / 2, INWARD))
-        way *= share[:, None]
+        toward[near] = share[:, None] / INWARD * way / scale
     toward *= INWARD
-    if len(near):
-        toward[near] = way
     return toward, width, stout, crossed
 
 
@@ -233,7 +230,6 @@ def _part(scene, cells, corners, point, crossed, move):
     touched[point[crossed]] = True
     left = np.flatnonzero(touched[point])
     left = left[np.argsort(point[left], kind="stable")]
-    point = point.copy()
     for _ in range(PARTINGS):
         if not len(left):
             break
@@ -241,7 +237,7 @@ def _part(scene, cells, corners, point, crossed, move):
         leader = left[leading][np.cumsum(leading) - 1]
         other = np.flatnonzero(~leading & (dot(corners.facing(left), corners.facing(leader)) > LEVEL))
         ends = leader[other], left[other]
-        places = (scene.vertices[corners.vertex[rows]] + move[rows] for rows in ends)
+        places = (scene.vertices[corners.vertex[rows]] + scene.diagonal * move[rows] for rows in ends)
         apart = ask_segments(cells, "blocked", *places, *(corners.facing(rows) for rows in ends))
         parted = left[other][apart]
         _, number = np.unique(point[parted], return_inverse=True)
