@@ -142,6 +142,17 @@ def count(text):
     return whole(text, MOST_CELLS)
 
 
+def points(text):
+    """A number of output points: "1e7", "10000000"."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 1 <= value <= 1e12:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number of points, like 1e7")
+    return int(value)
+
+
 def padding(text):
     """Texels between the charts of a lightmap."""
     return whole(text, MOST_PADDING)

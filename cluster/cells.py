@@ -65,6 +65,7 @@ class DaskCells(Cells):
     Raises ClusterError if there is no worker, or if workers are not what the host is and `allow_mixed` is not given.
     """
 
+    in_turn = True
     _identity = staticmethod(identity)  # of the host
 
     def __init__(self, client, started=None, allow_mixed=False):

@@ -71,7 +71,10 @@ class Cells:
     """What all kinds of cells have in common.
 
     count: how many work at a time. restarted: how many were replaced. note: why they are not what was asked for, or "".
+    in_turn: whether start arrays reach one cell after the other, not all at the same time.
     """
+
+    in_turn = False
 
     def __init__(self):
         self.count, self.restarted, self.note = 1, 0, ""

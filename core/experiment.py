@@ -19,6 +19,8 @@ from .host import make_rows, solve, submit_rows
 from .kernel import scene_arrays
 from .lights import make_sources
 from .patches import make_patches, patch_size
+from .points import make_points
+from .records import to_arrays
 from .replay import CAUSES, ReplayCells, TaskTimes, measure_messages
 from .sky import split_sky
 from .surfaces import make_surfaces
@@ -45,9 +47,10 @@ class Run:
     reached: dict
 
 
-def experiment(scene, settings, schedules, counts, replays, joined=None):
+def experiment(scene, settings, schedules, counts, replays, joined=None, copies=1):
     """Bakes of a scene by `schedules` on `counts` cells, measured, and on `replays` cells, replayed: a generator that
-    yields the Runs as they are done. joined: cells to measure, and messages to replay with, in place of processes."""
+    yields the Runs as they are done. joined: cells to measure, and messages to replay with, in place of processes.
+    copies: as how many each output point counts in replays."""
     with nullcontext(joined) if joined else make_cells(1) as cells:
         message = measure_messages(cells)
     for schedule in schedules:
@@ -56,7 +59,7 @@ def experiment(scene, settings, schedules, counts, replays, joined=None):
             yield measured(scene, chosen, count, joined)
         times = TaskTimes()
         for count in replays:
-            yield replayed(scene, chosen, count, times, message)
+            yield replayed(scene, chosen, count, times, message, copies)
 
 
 def measured(scene, settings, count, cells=None):
@@ -75,10 +78,18 @@ def measured(scene, settings, count, cells=None):
     return _run(result, count, "measured", seconds, busy, None)
 
 
-def replayed(scene, settings, count, times, message):
-    """The Run of a bake on `count` cells that are not there. times: TaskTimes, shared by replays of one scene."""
-    cells = ReplayCells(count, times, message)
-    result = _drive(bake(scene, settings, cells), cells.open_books)
+def replayed(scene, settings, count, times, message, copies=1):
+    """The Run of a bake on `count` cells that are not there. times: TaskTimes, shared by replays of one scene. copies: as
+    how many each output point counts: its tasks are dealt so often, and the host works so long."""
+    cells = ReplayCells(count, times, message, copies)
+
+    def place(scene, flipped, cells, *_):
+        cells.multiply()
+        points = make_points(scene, flipped, cells)
+        return scene, points, to_arrays("points", points)
+        yield
+
+    result = _drive(bake(scene, settings, cells, place if copies > 1 else None), cells.open_books)
     seconds = cells.close_books()
     return _run(result, count, "replayed", seconds, cells.busy, {c: cells.lost[c] / count for c in CAUSES})
 
@@ -177,9 +188,10 @@ def convergence_table(runs, law, aimed):
     return "\n".join(lines)
 
 
-def as_dictionary(scene, runs, law, aimed):
-    """The experiment as one document for JSON."""
-    return {"scene": scene, "law": asdict(law), "convergence": aimed, "runs": [asdict(r) for r in runs]}
+def as_dictionary(scene, runs, law, aimed, points=None):
+    """The experiment as one document for JSON. points: that the replays stand for, None for the scene's own."""
+    runs = [asdict(r) for r in runs]
+    return {"scene": scene, "law": asdict(law), "convergence": aimed, "replayed_points": points, "runs": runs}
 
 
 def _drive(generator, at_transport):

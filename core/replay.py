@@ -18,8 +18,10 @@ import numpy as np
 
 from .cells import Cells, ProcessCells, ahead, run_task
 from .kernel import Kernel
+from .sampling import scatter
 
 FILLING = 1 << 24  # bytes of the arrays whose sending is timed
+BY_THEMSELVES = ("control",)  # tasks whose number does not go with that of the points
 CAUSES = ("too few shooters", "waiting", "messages", "serial host work")
 
 
@@ -27,12 +29,13 @@ CAUSES = ("too few shooters", "waiting", "messages", "serial host work")
 class MessageCost:
     """What a task costs beside its own work [s]: host, per task and per byte of its result; latency, until a cell's
     result is with the host and the next task with the cell; start_per_byte, until a cell has a byte of new arrays,
-    which all cells take in at the same time."""
+    which all cells take in at the same time, or each in its turn."""
 
     host: float
     host_per_byte: float
     latency: float
     start_per_byte: float = 0.0
+    in_turn: bool = False
 
 
 def measure_messages(cells):
@@ -52,20 +55,20 @@ def measure_messages(cells):
         answer()
         return perf_counter() - begun
 
-    def start_seconds(size):
+    def start_seconds(number):
+        filling = scatter(np.arange(FILLING // 8) + FILLING * number, 0)  # nothing that is there, or that can be packed
         begun = perf_counter()
-        cells.start({"wait.filling": np.zeros(size, np.uint8)})
+        cells.start({"wait.filling": filling})
         answer()
         return perf_counter() - begun
 
     host_seconds(20, 8)
     small, large = host_seconds(400, 8), host_seconds(60, 1 << 17)
     trips = float(np.median([trip() for _ in range(100)]))
-    filling = min(start_seconds(FILLING) for _ in range(3)) - trips
-    cells.start({"wait.filling": np.zeros(0, np.uint8)})
-    return MessageCost(
-        small, max(large - small, 0.0) / (8 << 17), max(trips - small, 0.0) / 2, max(filling, 0.0) / FILLING
-    )
+    filling = min(start_seconds(number) for number in range(3)) - trips
+    cells.start({"wait.filling": np.zeros(0)})
+    per_byte, latency = max(large - small, 0.0) / (8 << 17), max(trips - small, 0.0) / 2
+    return MessageCost(small, per_byte, latency, max(filling, 0.0) / FILLING, cells.in_turn)
 
 
 class TaskTimes:
@@ -97,11 +100,15 @@ class ReplayCells(Cells):
     While the host works or passes messages, that is what an idle cell waits for. While the host itself waits, a cell
     that had no part in the latest burst of tasks had "too few shooters", if there were fewer tasks than cells; any
     other has done its part and is "waiting" for the rest.
+
+    copies: as how many each point counts from `multiply` on: so many copies of each task are dealt, and so many times what
+    the host does takes as long.
     """
 
-    def __init__(self, count, times, message):
+    def __init__(self, count, times, message, copies=1):
         super().__init__()
-        self.count, self.times, self.message = count, times, message
+        self.count, self.times, self.message, self._copies = count, times, message, copies
+        self._each, self._left, self._alone = 1, {}, 0
         self.busy = np.zeros(count)
         self.lost = dict.fromkeys(CAUSES, 0.0)
         self.clock, self._mark = 0.0, thread_time()
@@ -116,8 +123,11 @@ class ReplayCells(Cells):
     def start(self, arrays):
         self._host_worked()
         self.times.start(arrays)
-        arrives = self.clock + self.message.start_per_byte * sum(np.asarray(a).nbytes for a in arrays.values())
+        size = sum(
+            np.asarray(a).nbytes * (self._each if name.startswith("points.") else 1) for name, a in arrays.items()
+        )
         for cell in range(self.count):
+            arrives = self.clock + self.message.start_per_byte * size * (cell + 1 if self.message.in_turn else 1)
             self._lose(cell, self.clock)
             self.lost["messages"] += max(arrives - max(self._free[cell], self.clock), 0.0)
             self._free[cell] = max(self._free[cell], arrives)
@@ -126,14 +136,17 @@ class ReplayCells(Cells):
     def submit(self, name, **arguments):
         self._host_worked()
         result, seconds, rays = self.times.run(name, arguments)
-        self.usage.rays += rays
+        copies = 1 if name in BY_THEMSELVES else self._each
+        self.usage.rays += copies * rays
         if self._collecting:
             self._collecting = False
             self._bursts.append(self.clock)
             self._peak = 0
-        self._outstanding += 1
+        self._alone += name in BY_THEMSELVES
+        self._left[self._next] = copies, name
+        self._outstanding += copies
         self._peak = max(self._peak, self._outstanding)
-        self._waiting.append((self._next, result, seconds))
+        self._waiting.extend([(self._next, result, seconds)] * copies)
         self._next += 1
         self._deal()
         self._mark = thread_time()
@@ -153,16 +166,28 @@ class ReplayCells(Cells):
             self._outstanding -= 1
             self._deal()
             self._mark = thread_time()
-            yield number, result
+            left, name = self._left[number]
+            self._left[number] = left - 1, name
+            if left == 1:
+                del self._left[number]
+                yield number, result
+                self._host_worked()
+                self._alone -= name in BY_THEMSELVES
         self._host_worked()
 
     def clear(self):
         self._outstanding -= len(self._waiting)
         self._waiting.clear()
+        self._left, self._alone = {number: self._left[number] for _, number, *_ in self._running}, 0
         self._kept.clear()
 
     def stop(self):
         self.clear()
+
+    def multiply(self):
+        """From now on, what is done is done for every copy of the points."""
+        self._host_worked()
+        self._each = self._copies
 
     def open_books(self):
         """Count work and losses from now on."""
@@ -183,7 +208,8 @@ class ReplayCells(Cells):
     def _host_worked(self):
         """The host has worked since the mark: that is so much of the clock."""
         now = thread_time()
-        self._advance(self.clock + now - self._mark, "serial host work")
+        each = 1 if self._alone else self._each
+        self._advance(self.clock + each * (now - self._mark), "serial host work")
         self._mark = now
 
     def _advance(self, until, cause):

@@ -13,7 +13,7 @@ import pytest
 
 from cell_radiosity.core.cells import LocalCells, make_cells
 from cell_radiosity.core.contacts import cut_contacts
-from cell_radiosity.core.experiment import convergence, convergence_table, experiment, law_of, table
+from cell_radiosity.core.experiment import convergence, convergence_table, experiment, law_of, replayed, table
 from cell_radiosity.core.host import costliest_first
 from cell_radiosity.core.kernel import Kernel, scene_arrays
 from cell_radiosity.core.lights import make_sources
@@ -269,6 +269,32 @@ def test_replay_of_given_times(count, rounds, seconds, few, waiting):
     assert lost["waiting"] == near(waiting)
 
 
+def test_replay_of_many_times_the_points():
+    """Each task at points stands for so many, once they are there; the host's work too; those of the control do not."""
+    cells = ReplayCells(4, Given(), MessageCost(0.0, 0.0, 0.0), copies=6)
+
+    def busy(name, seconds):
+        before = cells.busy.sum()
+        cells.take([cells.submit(name, seconds=s) for s in seconds])
+        return cells.busy.sum() - before
+
+    cells.open_books()
+    assert busy("rows", [100.0, 100.0]) == near(200)
+    cells.multiply()
+    assert busy("gather", [100.0, 40.0]) == near(840)
+    assert busy("control", [100.0]) == near(100)
+    assert cells.usage.rays == 2 + 12 + 1
+
+
+def test_replay_of_arrays_that_reach_one_cell_after_the_other():
+    """The last of four cells has them after four times as long; all at once, as soon as the first."""
+    for in_turn, seconds in ((False, 10.0), (True, 40.0)):
+        cells = ReplayCells(4, Given(), MessageCost(0.0, 0.0, 0.0, 0.01, in_turn))
+        cells.start({"points.position": np.zeros(125)})
+        cells.take([cells.submit("rows", seconds=1.0) for _ in range(4)])
+        assert cells.clock == near(seconds + 1.0)
+
+
 def test_replay_counts_messages():
     """On one cell: the host's share of every task, per byte of its result, and the way there and back."""
     seconds, lost = replay(1, [[100.0]] * 10, MessageCost(2.0, 0.05, 3.0))
@@ -332,3 +358,39 @@ def test_paper_scenes_have_as_many_patches_as_the_papers():
         folder = os.path.join(os.path.dirname(__file__), "..", "sample_scenes")
         bpy.ops.wm.open_mainfile(filepath=os.path.join(folder, f"paper_{count}.blend"))
         assert len(make_patches(read_scene(bpy.context)[0])) == count
+
+
+def test_points_that_count_many_times_change_no_schedule():
+    """A replay of four times the points has more to gather, and the same transport and control."""
+    settings = replace(SETTINGS, gather_rays=24)
+    own, more = (replayed(room(), settings, 4, TaskTimes(), MESSAGE, copies) for copies in (1, 4))
+    assert (own.rounds, own.shots) == (more.rounds, more.shots)
+    assert own.rays < more.rays < 4 * own.rays
+
+
+def test_command_replays_more_points(capfd):
+    pytest.importorskip("bpy")
+    from cell_radiosity.addon.command import main
+
+    scene = os.path.join(os.path.dirname(__file__), "..", "sample_scenes", "paper_973.blend")
+    command = [
+        "cells",
+        scene,
+        "--max-patch",
+        "mesh",
+        "--counts",
+        "1",
+        "--schedule",
+        "dynamic",
+        "--error",
+        "10%",
+        "--quiet",
+    ]
+    assert main([*command, "--points", "1e5"]) == 0
+    first = capfd.readouterr().out.splitlines()[0]
+    points, own, copies = (int(word) for word in first.split() if word.isdigit())
+    assert "output points" in first
+    assert abs(points - 1e5) <= own / 2
+    assert points == own * copies
+    assert main([*command, "--points", "5"]) == 2
+    assert "ask for more of them" in capfd.readouterr().err
