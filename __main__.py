@@ -8,7 +8,7 @@ import sys
 
 
 def main():
-    """Run the `radiosity` command; returns its exit code."""
+    """Run the `radiosity` command, and end the process with its exit code."""
     _have_streams()
     signal.signal(signal.SIGINT, _cancelled)
     try:
@@ -20,14 +20,12 @@ def main():
 
     code = command(sys.argv[1:])
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # all is done
-    if "io_scene_gltf2" in sys.modules:
-        # After a glTF export Blender's module can wait for a thread of its own for ever when the process ends.
-        atexit._run_exitfuncs()
-        with contextlib.suppress(OSError):
-            sys.stdout.flush()
-            sys.stderr.flush()
-        os._exit(code)
-    return code
+    # Else Blender's module can wait for a thread of its own for ever when the process ends, after exports above all.
+    atexit._run_exitfuncs()
+    with contextlib.suppress(OSError):
+        sys.stdout.flush()
+        sys.stderr.flush()
+    os._exit(code)
 
 
 def _have_streams():

@@ -20,7 +20,8 @@ COMMANDS = (command_bake, command_cells, command_effects, command_export, comman
 def main(argv):
     """Run the command line `argv` (without the program's name); returns the exit code."""
     _write_anything()
-    previous = signal.signal(signal.SIGINT, signal.default_int_handler)  # Blender swallows Ctrl-C otherwise
+    # Blender swallows Ctrl-C otherwise; who is told to end keeps what is finished, too.
+    previous = {kind: signal.signal(kind, signal.default_int_handler) for kind in (signal.SIGINT, signal.SIGTERM)}
     try:
         arguments = _parser().parse_args(argv)
         return arguments.run(arguments)
@@ -30,8 +31,9 @@ def main(argv):
         print("radiosity: cancelled", file=sys.stderr, flush=True)
         return 130
     finally:
-        if previous is not None:  # None: a handler that is not Python's and cannot be put back
-            signal.signal(signal.SIGINT, previous)
+        for kind, handler in previous.items():
+            if handler is not None:  # None: a handler that is not Python's and cannot be put back
+                signal.signal(kind, handler)
 
 
 def _write_anything():

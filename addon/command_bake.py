@@ -116,7 +116,8 @@ class Places:
     def check(self, before, others):
         """Raise Refused if what is written cannot be, or would overwrite what is read (that the output may be the source is
         the user's word), what was written for the Places baked before, or the source of others."""
-        check_outputs(self.written, inputs=() if same_file(self.output, self.source) else (self.source,))
+        inputs = () if same_file(self.output, self.source) else (self.source,)
+        check_outputs(self.written, inputs, devices=[self.report])
         for path in self.written:
             for other in before:
                 if any(same_file(path, p) for p in other.written):
@@ -210,7 +211,8 @@ def _bake_file(places, arguments, cells, start_seconds):
     keep = partial(_keep, kept, Origin(source, arguments.scene, arguments.frame, options)) if kept else None
     try:
         stopped, unkept = _bake_until_stopped(job, arguments.quiet, keep)
-        job.write(context)
+        with silent():
+            job.write(context)
         if made_from and not stopped:
             note(made_from)
         save_file(output, source)

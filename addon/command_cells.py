@@ -17,7 +17,7 @@ from .cluster import add_cluster_options, cells_for
 from .errors import Usage
 from .files import context_of
 from .job import check_scene, default_cells, wanted_by
-from .plots import plot_cells, pyplot
+from .plots import check_plot, plot_cells
 from .read_scene import read_scene
 from .scene_command import add_scene_file, exit_code, open_scene
 
@@ -51,7 +51,7 @@ def run_cells(arguments):
     if arguments.cluster and arguments.counts:
         raise Usage("--counts is for this machine's cells; a cluster is measured as it is")
     if arguments.plot:
-        pyplot()
+        check_plot(arguments.plot)
     source = open_scene(arguments, arguments.report, arguments.plot)
     scene, targets = read_scene(context_of(arguments), wanted_by(arguments.objects))
     options, scene = make_options(arguments), mend(scene)

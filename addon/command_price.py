@@ -20,7 +20,7 @@ from .cluster import add_cluster_options, cells_for
 from .errors import Refused, told
 from .files import context_of
 from .job import check_scene, wanted_by
-from .plots import knob_value, plot_price, pyplot
+from .plots import check_plot, knob_value, plot_price
 from .progress import Bar
 from .read_scene import read_scene
 from .scene_command import add_scene_file, exit_code, open_scene
@@ -52,7 +52,7 @@ def add(commands):
 def run_price(arguments):
     """Print the price list of a scene."""
     if arguments.plot:
-        pyplot()
+        check_plot(arguments.plot)
     reference = _open_reference(arguments.reference)
     source = open_scene(arguments, arguments.report, arguments.plot)
     scene, targets = read_scene(context_of(arguments), wanted_by(arguments.objects))

@@ -9,7 +9,7 @@ import numpy as np
 from ..core.cells import LocalCells
 from .arguments import change
 from .errors import Refused
-from .files import check_outputs, context_of, open_file, save_file
+from .files import check_outputs, context_of, open_file, save_file, silent
 from .job import Job
 from .progress import say
 from .scene_command import exit_code
@@ -52,7 +52,8 @@ def run_relight(arguments):
     job = Job(context, origin.options_for(output), LocalCells(), state=state)
     try:
         job.relight(factors)
-        job.write(context)
+        with silent():
+            job.write(context)
         save_file(output, source)
     finally:
         job.close()

@@ -6,14 +6,15 @@ divided by its largest value, which goes into the extras of the scene and of eve
 
 from __future__ import annotations
 
-import contextlib
 import os
 
 import addon_utils
 import bpy
 import numpy as np
 
+from ..core.saving import written_together, written_whole
 from .errors import Refused
+from .files import writing
 from .marks import made_layers
 from .shown import discard, show
 
@@ -97,12 +98,9 @@ def _colors(mesh, layer):
 
 def _write(path, kind):
     """Write the context's scene to a file, whole or not at all."""
-    folder, name = os.path.split(path)
-    os.makedirs(folder or ".", exist_ok=True)
-    temporary = os.path.join(folder, f"{os.path.splitext(name)[0]}.tmp{os.getpid()}{os.path.splitext(name)[1]}")
-    if kind == "GLTF_SEPARATE":
-        temporary = path  # its buffers are named after it
-    try:
+    os.makedirs(os.path.dirname(path) or ".", exist_ok=True)
+    written = written_together if kind == "GLTF_SEPARATE" else written_whole
+    with writing(path, os.path.splitext(path)[1], written) as temporary:
         if kind == "USD":
             bpy.ops.wm.usd_export(**_known(bpy.ops.wm.usd_export, dict(
                 filepath=temporary, export_materials=True, export_custom_properties=True, export_animation=False,
@@ -113,13 +111,6 @@ def _write(path, kind):
                 filepath=temporary, export_format=kind, export_vertex_color="MATERIAL", export_extras=True,
                 export_apply=True, export_animations=False, export_yup=True, use_active_scene=True,
             )))  # fmt: skip
-        os.replace(temporary, path)
-    except (RuntimeError, OSError) as error:
-        raise Refused(f"cannot write {path}: {' '.join(str(error).split())}") from None
-    finally:
-        if temporary != path:
-            with contextlib.suppress(OSError):
-                os.remove(temporary)
 
 
 def _known(operator, options):

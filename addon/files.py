@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
+import shutil
 import sys
 import tempfile
 from pathlib import Path
 
 import bpy
 
+from ..core.saving import written_whole
 from .errors import Refused
+
+FULL = 1 << 16  # bytes that are free on a disk that is full
 
 
 def place_for(given, source, suffix, several):
@@ -20,16 +25,19 @@ def place_for(given, source, suffix, several):
     return os.path.join(os.path.abspath(given), Path(source).stem + suffix) if several else os.path.abspath(given)
 
 
-def check_outputs(outputs, inputs=()):
-    """Make the folders of outputs (paths or None). Raises Refused if one cannot be written, is also another one, or would
-    overwrite one of the inputs."""
+def check_outputs(outputs, inputs=(), devices=()):
+    """Make the folders of outputs (paths or None). Raises Refused if one cannot be written, is also another one, would
+    overwrite one of the inputs, or is no ordinary file but a device or pipe and not one of `devices`, which may be."""
     outputs = [path for path in outputs if path]
     for number, path in enumerate(outputs):
         if any(same_file(path, other) for other in outputs[:number]):
             raise Refused(f"cannot write {path}: it is asked for as two things at once; name two files")
         if any(same_file(path, other) for other in inputs):
             raise Refused(f"cannot write {path}: it is read too, and would be lost; name another file")
-        check_writable(path)
+        if os.path.isdir(path) or os.path.isfile(path) or not os.path.exists(path):
+            check_writable(path)
+        elif path not in devices:
+            raise Refused(f"cannot write {path}: it is not an ordinary file")
 
 
 def same_file(path, other):
@@ -84,27 +92,75 @@ def context_of(arguments):
 
 def save_file(output, source):
     """Save the open file as `output`, whole or not at all."""
-    temporary = f"{output[: -len('.blend')] if output.endswith('.blend') else output}.tmp{os.getpid()}.blend"
+    with writing(output, ".blend") as temporary, silent():
+        bpy.ops.wm.save_as_mainfile(filepath=temporary, copy=True, check_existing=False)
+
+
+@contextlib.contextmanager
+def writing(path, suffix, written=written_whole):
+    """As the core's `written_whole`, or another function, for what Blender writes, in the format of a suffix. Raises
+    Refused."""
     try:
-        with silent():
-            bpy.ops.wm.save_as_mainfile(filepath=temporary, copy=True, check_existing=False)
-        os.replace(temporary, output)
-    except RuntimeError as error:
-        raise Refused(f"cannot write {output}: {' '.join(str(error).split())}") from None
-    finally:
-        with contextlib.suppress(OSError):
-            os.remove(temporary)
+        with written(path, suffix) as place:
+            try:
+                yield place
+            except RuntimeError as error:
+                if "KeyboardInterrupt" in str(error):  # that an exporter in Python was stopped by
+                    raise KeyboardInterrupt from None
+                raise OSError(errno.EIO, _reason(error, place)) from None
+            if not _is_whole(place):  # Blender does not say so
+                raise OSError(errno.EIO, "only a part of it could be written; is the disk full?")
+    except OSError as problem:
+        raise Refused(f"cannot write {path}: {problem.strerror or problem}") from None
+
+
+def _is_whole(path):
+    """Whether a file has an end, if it is of a format of which Blender does not notice that the disk is full: PNG has a last
+    chunk; USD in words a closed block; in bytes a table, where its head says."""
+    size, suffix = os.path.getsize(path), os.path.splitext(path)[1].lower()
+    with open(path, "rb") as file:
+        head = file.read(24)
+        if suffix == ".png":
+            file.seek(max(size - 8, 0))
+            return file.read(4) == b"IEND"
+        if head.startswith(b"PXR-USDC"):
+            table = int.from_bytes(head[16:], "little")
+            file.seek(table)
+            return size >= table + 8 + 32 * int.from_bytes(file.read(8), "little") > table + 8
+        if suffix.startswith(".usd"):
+            file.seek(max(size - 8, 0))
+            return file.read().rstrip().endswith(b"}")
+    return True
+
+
+def _reason(error, path):
+    """Why Blender could not write a file, as far as it says: it has no word for a full disk."""
+    if shutil.disk_usage(os.path.dirname(path)).free < FULL:
+        return os.strerror(errno.ENOSPC)
+    text = str(error)
+    if "Traceback" in text:  # of an exporter in Python: its last line
+        lines = [line for line in text.splitlines() if line and not line.startswith((" ", "Location:"))]
+        text = lines[-1]
+    return " ".join(text.replace("Error: ", "").split())
 
 
 @contextlib.contextmanager
 def silent():
-    """Keep Blender's own lines on the standard output out of ours."""
-    sys.stdout.flush()
-    kept = os.dup(1)
+    """Keep what Blender itself and its exporters in Python say on the standard streams out of ours."""
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError):
+            stream.flush()
+    kept = os.dup(1), os.dup(2)
     try:
-        with open(os.devnull, "wb") as nowhere:
+        with (
+            open(os.devnull, "w") as nowhere,
+            contextlib.redirect_stdout(nowhere),
+            contextlib.redirect_stderr(nowhere),
+        ):
             os.dup2(nowhere.fileno(), 1)
-        yield
+            os.dup2(nowhere.fileno(), 2)
+            yield
     finally:
-        os.dup2(kept, 1)
-        os.close(kept)
+        for number, stream in zip((1, 2), kept):
+            os.dup2(stream, number)
+            os.close(stream)

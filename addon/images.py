@@ -6,13 +6,12 @@ there: linear 32-bit floats in OpenEXR, or 16-bit numbers times a scale in PNG.
 
 from __future__ import annotations
 
-import contextlib
 import os
 
 import bpy
 import numpy as np
 
-from .errors import Refused
+from .files import writing
 from .marks import KEY, is_made, mark
 
 SUFFIX = {"exr": ".exr", "png": ".png", "byte": ".png"}
@@ -67,7 +66,6 @@ def image_path(output, of, layer, kind="exr"):
 def _save(image, path, kind):
     """Write an image's values to a file as they are, whole or not at all."""
     scene = bpy.data.scenes.new(f"{KEY} image")
-    temporary = f"{path}.tmp{os.getpid()}{SUFFIX[kind]}"
     try:
         settings = scene.render.image_settings
         if hasattr(settings, "media_type"):
@@ -75,18 +73,14 @@ def _save(image, path, kind):
         if kind == "exr":
             settings.file_format, settings.color_mode = "OPEN_EXR", "RGB"
             settings.color_depth, settings.exr_codec = "32", "ZIP"
-        elif kind == "byte":
-            image.filepath_raw, image.file_format = temporary, "PNG"
-            image.save()
-        else:
+        elif kind == "png":
             settings.file_format, settings.color_mode, settings.color_depth = "PNG", "RGB", "16"
             scene.display_settings.display_device, scene.view_settings.view_transform = "sRGB", "Raw"
-        if kind != "byte":
-            image.save_render(temporary, scene=scene)
-        os.replace(temporary, path)
-    except (RuntimeError, OSError) as error:
-        raise Refused(f"cannot write {path}: {' '.join(str(error).split())}") from None
+        with writing(path, SUFFIX[kind]) as temporary:
+            if kind == "byte":
+                image.filepath_raw, image.file_format = temporary, "PNG"
+                image.save()
+            else:
+                image.save_render(temporary, scene=scene)
     finally:
         bpy.data.scenes.remove(scene)
-        with contextlib.suppress(OSError):
-            os.remove(temporary)

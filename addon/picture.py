@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import os
-
 import bpy
 import numpy as np
 
 from ..core.layers import layer_colors
 from ..core.picture import View, draw, outside_view
+from .files import writing
 
 WIDEST = 960  # pixels
 BRIGHT = 0.8  # share of the picture that stays below MIDDLE after exposure
@@ -28,9 +27,9 @@ def save_picture(context, bake, path, colors=None):
         rgba = np.ones((view.height, view.width, 4), np.float32)
         rgba[..., :3] = pixels[::-1]
         image.pixels.foreach_set(rgba.reshape(-1))
-        image.filepath_raw, image.file_format = path + ".tmp", "PNG"
-        image.save()
-        os.replace(path + ".tmp", path)
+        with writing(path, ".png") as temporary:
+            image.filepath_raw, image.file_format = temporary, "PNG"
+            image.save()
     finally:
         bpy.data.images.remove(image)
 

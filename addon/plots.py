@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from math import prod
 
 from ..core.knobs import frontier
+from ..core.saving import written_whole
 from .errors import Usage
 
+SUFFIXES = (".png", ".pdf", ".svg")
 COLORS = {"paper": "#b5523b", "dynamic": "#2f6f9f"}
 KNOB_COLORS = {
     "patches": "#c46b4e", "row rays": "#d9a441", "gather rays": "#5f9e6e", "light samples": "#8d6cab", "bounces": "#4f9da6",
@@ -30,6 +33,22 @@ def pyplot():
 
     pyplot.rcParams.update({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "savefig.dpi": 110})
     return pyplot
+
+
+def check_plot(path):
+    """Raise Usage if no plot can be drawn to a file of that name."""
+    pyplot()
+    if _suffix(path) not in SUFFIXES:
+        raise Usage(f"--plot {path}: its name must end in {', '.join(SUFFIXES)}")
+
+
+def _suffix(path):
+    return os.path.splitext(path)[1].lower()
+
+
+def _save(figure, path):
+    with written_whole(path) as temporary:
+        figure.savefig(temporary, format=_suffix(path)[1:])
 
 
 def plot_cells(runs, path, title):
@@ -65,7 +84,7 @@ def plot_cells(runs, path, title):
     axes[-1].legend(frameon=False, fontsize=7, loc="lower left")
     figure.suptitle(title)
     figure.tight_layout()
-    figure.savefig(path)
+    _save(figure, path)
     plt.close(figure)
 
 
@@ -135,7 +154,7 @@ def plot_price(rows, knobs, falls, path, title):
     axis.grid(color="0.94")
     axis.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.01, 0.5))
     figure.tight_layout()
-    figure.savefig(path)
+    _save(figure, path)
     plt.close(figure)
 
 

@@ -26,7 +26,8 @@ def open_scene(arguments, *outputs):
     if not source:
         raise Usage(NO_SCENE)
     source = os.path.abspath(source)
-    check_outputs([path and os.path.abspath(path) for path in outputs], inputs=[source])
+    outputs = [path and os.path.abspath(path) for path in outputs]
+    check_outputs(outputs, inputs=[source], devices=outputs)
     if arguments.scene_file:
         open_file(source)
     return source

@@ -6,11 +6,11 @@ Owns its schema. A figure that does not exist is null; a number is never NaN.
 from __future__ import annotations
 
 import json
-import os
 
 import numpy as np
 
 from .health import direct_check
+from .saving import written_whole
 
 _NUMBER = {"type": ["number", "null"]}
 _COUNT = {"type": ["integer", "null"]}
@@ -139,12 +139,10 @@ def _blank(schema):
 
 
 def write_json(report, path):
-    """Write a report to a file, whole or not at all."""
-    temporary = f"{path}.tmp{os.getpid()}"
-    with open(temporary, "w", encoding="utf-8") as file:
+    """Write a report to a file, whole or not at all. Raises OSError."""
+    with written_whole(path) as temporary, open(temporary, "w", encoding="utf-8") as file:
         json.dump(report, file, indent=1, allow_nan=False)
         file.write("\n")
-    os.replace(temporary, path)
 
 
 def _error(bake):

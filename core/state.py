@@ -8,10 +8,10 @@ is made again from the scene, of which a state keeps only prints, one for each o
 from __future__ import annotations
 
 import json
-import os
 import zipfile
 from dataclasses import asdict, dataclass, field, fields, replace
 from hashlib import blake2b
+from io import BytesIO
 from math import inf
 
 import numpy as np
@@ -25,10 +25,12 @@ from .health import Finding
 from .host import ENDLESS, AnalyticRows, RayRows, Round, Solution, joined_rows
 from .patches import Patches
 from .records import from_arrays, to_arrays
+from .saving import written_whole
 from .settings import Settings
 
 FORMAT = 2  # of the file; higher when samples of the same seed become others
 ANEW = "name another state file to bake it anew"
+DAMAGED = f"it is not a state file, or is damaged: {ANEW}"
 
 
 class StateError(ValueError):
@@ -220,33 +222,35 @@ def _same_groups(a, b):
 
 
 def save_state(state, path):
-    """Write a State to a file, whole or not at all."""
+    """Write a State to a file, whole or not at all. Raises OSError."""
     arrays, told = _packed(state)
-    told = np.frombuffer(json.dumps(told).encode(), np.uint8)
-    temporary = f"{path}.tmp{os.getpid()}"
-    try:
-        with open(temporary, "wb") as file:
-            np.savez(file, told=told, **arrays)
-        os.replace(temporary, path)
-    finally:
-        if os.path.exists(temporary):
-            os.remove(temporary)
+    told = np.frombuffer(json.dumps({**told, "arrays": list(arrays)}).encode(), np.uint8)
+    with written_whole(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
+        for name, array in {"told": told, **arrays}.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
+                np.lib.format.write_array(file, np.asanyarray(array), allow_pickle=False)
 
 
 def load_state(path):
     """The State that a file holds. Raises StateError if it is none, or was written by another version; OSError if it
     cannot be read."""
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        told = json.loads(arrays.pop("told").tobytes())
-        if told["format"] != FORMAT:
-            raise StateError(f"another version wrote it: {ANEW}")
-        return _unpacked(arrays, told)
-    except (zipfile.BadZipFile, KeyError, TypeError, ValueError, EOFError, IndexError) as problem:
-        if isinstance(problem, StateError):
+    with open(path, "rb") as file:
+        try:
+            arrays = {}
+            with zipfile.ZipFile(file) as archive:
+                for name in archive.namelist():
+                    data = BytesIO(archive.read(name))  # whole: only so are its bytes checked
+                    arrays[name.removesuffix(".npy")] = np.lib.format.read_array(data, allow_pickle=False)
+            told = json.loads(arrays.pop("told").tobytes())
+            if told["format"] != FORMAT:
+                raise StateError(f"another version wrote it: {ANEW}")
+            if told.pop("arrays") != list(arrays):  # a damaged list of what the file holds may end early
+                raise StateError(DAMAGED)
+            return _unpacked(arrays, told)
+        except StateError:
             raise
-        raise StateError(f"it is not a state file, or is damaged: {ANEW}") from None
+        except Exception:  # whatever numpy, zipfile and json make of damaged bytes
+            raise StateError(DAMAGED) from None
 
 
 def _packed(state):

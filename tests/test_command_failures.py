@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import signal
+import stat
 import subprocess
 import sys
 
@@ -14,12 +15,13 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 
-from cell_radiosity.addon import command_bake  # noqa: E402
+from cell_radiosity.addon import command_bake, picture  # noqa: E402
 from cell_radiosity.addon.command import main  # noqa: E402
 from cell_radiosity.addon.errors import Refused, told  # noqa: E402
+from cell_radiosity.addon.job import Job  # noqa: E402
 from cell_radiosity.core.cells import LocalCells  # noqa: E402
 
-from blender_scenes import colors, empty, lamp, plane  # noqa: E402
+from blender_scenes import bake_ours, colors, empty, lamp, plane  # noqa: E402
 
 RADIOSITY = [sys.executable, "-m", "cell_radiosity"]
 
@@ -168,14 +170,14 @@ def asked_for_wrongly(folder, scene):
     yield ["bake", scene, "--state", folder / "room_radiosity.blend"], "two things at once"
     yield ["bake", scene, "--report", folder / "x", "--picture", folder / "x"], "two things at once"
     yield ["price", scene, "--report", scene], "it is read too"
-    yield ["price", scene, "--plot", scene], "it is read too"
     yield ["price", scene, "--plot", folder / "p.png", "--report", folder / "p.png"], "two things at once"
     yield ["effects", scene, "--report", scene], "it is read too"
     yield ["relight", state, "-o", state], "it is read too"
 
 
 def contents(folder):
-    return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+    """{path in a folder: bytes of a file, None of a folder}."""
+    return {str(p.relative_to(folder)): p.read_bytes() if p.is_file() else None for p in folder.rglob("*")}
 
 
 def test_nothing_that_is_read_is_overwritten(scene, capfd):
@@ -339,3 +341,102 @@ def test_light_beyond_what_blender_can_hold_is_cut_off(scene, capfd):
     bpy.ops.wm.open_mainfile(filepath=str(out))
     assert np.isfinite(colors(bpy.data.objects["floor"].data, "Radiosity")).all()
     assert main(["relight", str(state), "-o", str(out), "--set", "POINT=1e300", "--quiet"]) == 2
+
+
+@pytest.mark.parametrize("name", ["plot", "plot.blend", "plot.xyz"])
+def test_plots_of_kinds_that_there_are_not(scene, name, capfd):
+    pytest.importorskip("matplotlib")
+    code, line = failing(capfd, "price", scene, "--plot", scene.with_name(name), "--quiet")
+    assert code == 2
+    assert ".pdf" in line
+    assert ".png" in line
+
+
+def limited(monkeypatch, owner, name, size):
+    """While a function runs, no file can grow beyond a size [bytes]: it stands for a full disk."""
+    import resource
+
+    real, (_, most) = getattr(owner, name), resource.getrlimit(resource.RLIMIT_FSIZE)
+
+    def function(*args, **kwargs):
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, most))
+        try:
+            return real(*args, **kwargs)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
+
+    monkeypatch.setattr(owner, name, function)
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs a limit on the size of files")
+@pytest.mark.parametrize(
+    ("options", "place", "owner", "function", "size"),
+    [("", "lit.blend", command_bake, "save_file", 100_000), ("--report", "r.json", command_bake, "write_json", 1000),
+     ("--picture", "p.png", picture, "save_picture", 3000),
+     ("--state", "s", command_bake, "write_state", 30_000),
+     ("--target lightmap --size 64", "lit_floor_Radiosity.exr", Job, "write", 5000),
+     ("--target lightmap --size 64 --image png", "lit_floor_Radiosity.png", Job, "write", 5000)],
+)  # fmt: skip
+def test_a_disk_that_is_full(scene, monkeypatch, capfd, options, place, owner, function, size):
+    """One line that names the file, nothing left of it, and what was there before is still there."""
+    folder = scene.parent / "out"
+    folder.mkdir()
+    place = folder / place
+    options = options.split()
+    if options and options[0] != "--target":
+        options.append(place)
+    if function != "write_state":
+        place.write_bytes(b"before")
+    before = contents(folder)
+    limited(monkeypatch, owner, function, size)
+    code, line = failing(capfd, "bake", scene, "-o", folder / "lit.blend", "--quiet", *options)
+    assert code == 1
+    assert str(place) in line
+    assert "Traceback" not in line
+    after = contents(folder)
+    assert {**after, **before} == after
+    assert after.keys() <= before.keys() | {"lit.blend"}
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs a limit on the size of files")
+def test_exports_to_a_disk_that_is_full(scene, cells):
+    """The same; in processes of their own, since Blender's glTF exporter leaves a thread behind."""
+    bake_ours(cells)
+    saved(scene)
+    folder = scene.parent / "out"
+    folder.mkdir()
+    for suffix in (".glb", ".gltf", ".usda", ".usdc"):
+        place = folder / f"x{suffix}"
+        place.write_bytes(b"before")
+        before = contents(folder)
+        command = [*RADIOSITY, "export", str(scene), "-o", str(place)]
+        done = subprocess.run(["bash", "-c", 'ulimit -f 1; "$@"', "", *command], capture_output=True, text=True)
+        assert done.returncode == 1
+        (line,) = done.stderr.splitlines()
+        assert line.startswith(f"radiosity: {scene}: cannot write {place}: ")
+        assert "Traceback" not in line
+        assert contents(folder) == before
+
+
+def test_devices_are_written_to_and_stay_what_they_are(scene, capfd):
+    if not os.path.exists("/dev/null"):
+        pytest.skip("no devices here")
+    link = scene.with_name("link")
+    os.symlink("/dev/null", link)
+    assert main(["bake", str(scene), "--quiet", "--report", str(link)]) == 0
+    assert main(["price", str(scene), "--errors", "20", "--quiet", "--report", "/dev/null"]) == 0
+    for option in ("-o", "--picture", "--state"):
+        code, line = failing(capfd, "bake", scene, option, link, "--quiet")
+        assert code == 1
+        assert "it is not an ordinary file" in line
+    assert stat.S_ISCHR(os.stat("/dev/null").st_mode)
+    assert link.is_symlink()
+
+
+def test_what_a_link_leads_to_is_written(scene):
+    there, link = scene.parent / "there.json", scene.parent / "r.json"
+    there.write_text("before")
+    os.symlink(there, link)
+    assert main(["bake", str(scene), "--quiet", "--report", str(link)]) == 0
+    assert link.is_symlink()
+    assert json.loads(there.read_text())["layers"]

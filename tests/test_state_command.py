@@ -120,14 +120,15 @@ def test_ctrl_c_keeps_a_state_that_leads_to_the_same_result(scene, monkeypatch, 
     assert equal(found, expected)
 
 
-def test_a_real_ctrl_c(scene):
+@pytest.mark.parametrize("kind", [signal.SIGINT, signal.SIGTERM])
+def test_a_real_signal(scene, kind):
     state = scene.parent / "s"
     command = [sys.executable, "-m", "cell_radiosity", "bake", str(scene), "--error", "0.05%", "--state", str(state)]
     process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
     for line in process.stderr:
         if "gather" in line:
             break
-    process.send_signal(signal.SIGINT)
+    process.send_signal(kind)
     rest = process.stderr.read()
     assert process.wait(30) == 130
     assert "Traceback" not in rest
