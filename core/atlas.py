@@ -16,7 +16,7 @@ import numpy as np
 from .graphs import components, linked
 from .points import group_corners
 from .records import from_arrays
-from .vectors import TINY, counted, dot, unit
+from .vectors import TINY, counted, dot, numbered, unit
 
 LARGEST = 16384  # texels along an image's side
 SMOOTH_EDGE = 0.766044443118978  # cosine of 40 degrees: charts go on across an edge that bends less
@@ -105,8 +105,8 @@ def read_atlas(scene, corner_uv, density=16.0, size=None, together=False):
         area = scene.triangle_normal_area[1][triangle[mine]].sum()
         side = size or ceil(density * sqrt(area / covered) if covered > NO_AREA else 1)
         sizes[number] = _limited(side, side, name)
-    key = np.unique(np.column_stack([owner.repeat(3), corner_uv_keys(scene, corner, uv)]), axis=0, return_inverse=True)
-    chart = components(*linked(np.arange(len(triangle)).repeat(3), key[1].reshape(-1)), len(triangle))
+    key = numbered(np.column_stack([owner.repeat(3), corner_uv_keys(scene, corner, uv)]))
+    chart = components(*linked(np.arange(len(triangle)).repeat(3), key), len(triangle))
     place = uv * sizes[owner][:, None]
     atlas = _checked(scene, Atlas(names, sizes, triangle, owner, chart, place, False))
     return replace(atlas, seconds=perf_counter() - begun)
@@ -213,7 +213,7 @@ def _projected(scene, triangle, index, facing, first, second):
 
 def _pack(xatlas, flat, chart, density, size, padding, name):
     """Places (K, 3, 2) [texels] of charts given by triangles (K, 3, 2) [m] in one image, and its width and height."""
-    index = np.unique(np.column_stack([chart.repeat(3), _bits(flat)]), axis=0, return_inverse=True)[1].reshape(-1)
+    index = numbered(np.column_stack([chart.repeat(3), _bits(flat)]))
     place = np.zeros((index.max() + 1, 2), np.float32)
     # Charts start at 0: far from it float32 would lose their shape.
     low = np.full((chart.max() + 1, 2), np.inf)

@@ -14,7 +14,7 @@ import threading
 import traceback
 from multiprocessing import connection
 
-from .cells import run_task
+from .cells import run_task, unpacked
 from .kernel import Kernel
 
 BEAT = 1.0  # seconds between signs of life
@@ -50,7 +50,7 @@ def _read(pipe, inbox):
     ends = [pipe] if parent is None else [pipe, parent.sentinel]
     try:
         while pipe in connection.wait(ends):
-            inbox.put(pipe.recv())
+            inbox.put(unpacked(pipe))
     except (EOFError, OSError):
         pass
     os._exit(3)

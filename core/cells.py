@@ -22,6 +22,7 @@ import threading
 import types
 from collections import deque
 from dataclasses import dataclass, field, replace
+from math import inf
 from multiprocessing import connection, resource_tracker
 from time import monotonic
 
@@ -32,6 +33,7 @@ BOOT = os.path.join(os.path.dirname(os.path.abspath(__file__)), "cell_boot.py")
 AHEAD = 3  # tasks that a cell holds at a time, so that it never waits for the host,
 LAST = 2  # and when there are fewer tasks left than cells
 FLOW = 2 * AHEAD  # tasks of a flow for each cell
+APART = 1 << 16  # bytes of an array from which on it is sent without a copy
 LOOK = 8  # tasks from one look at the memory used to the next: a look takes half a millisecond
 PATIENCE = 20.0  # seconds without a sign of life from a cell that has work, after which it is replaced
 RESTARTS = 3  # per cell; beyond them the tasks run in this process
@@ -196,7 +198,7 @@ class ProcessCells(Cells):
     def start(self, arrays):
         changed = {k: a for k, a in arrays.items() if self._arrays.get(k) is not a}
         self._arrays.update(changed)
-        message = _packed(("arrays", changed))
+        message = _packed(("arrays", changed), APART)
         for cell in self._cells:
             cell.send(message)
         if self._local:
@@ -286,7 +288,7 @@ class ProcessCells(Cells):
             del self._cells[place]
             self.note = f"no new cell could be started ({error}); its work was done in this process"
             return
-        fresh.send(_packed(("arrays", self._arrays)))
+        fresh.send(_packed(("arrays", self._arrays), APART))
 
     def _run_here(self):
         """Do the waiting tasks in this process: no cell is left."""
@@ -339,12 +341,26 @@ class _Process:
     def _write(self):
         with contextlib.suppress(OSError):
             while (message := self._outbox.get()) is not None:
-                self.pipe.send_bytes(message)
+                for part in message:
+                    self.pipe.send_bytes(part)
 
 
-def _packed(message):
-    """A message as bytes, packed once for all cells."""
-    return pickle.dumps(message, pickle.HIGHEST_PROTOCOL)
+def _packed(message, apart=inf):
+    """A message as the parts that are sent one by one, packed once for all cells. Arrays of `apart` bytes or more, which
+    nobody may change any more, are parts of their own: to copy them would hold up the other threads, Blender's window too."""
+    arrays = []
+    callback = lambda array: array.raw().nbytes < apart or arrays.append(array.raw())
+    head = pickle.dumps(message, 5, buffer_callback=callback)
+    return [pickle.dumps((head, [array.nbytes for array in arrays])), *arrays]
+
+
+def unpacked(pipe):
+    """The next message that comes through a pipe, of those that `_packed` makes."""
+    head, sizes = pipe.recv()
+    arrays = [bytearray(size) for size in sizes]
+    for array in arrays:
+        pipe.recv_bytes_into(array)
+    return pickle.loads(head, buffers=arrays)
 
 
 def ahead(waiting, count):

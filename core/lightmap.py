@@ -14,7 +14,7 @@ from .atlas import rasterize
 from .points import Points
 from .raycast import OFFSET
 from .sampling import hemisphere, lattice, morton_order, tangents
-from .vectors import TINY, counted, cross, dot, length, unit
+from .vectors import TINY, counted, cross, dot, length, numbered, unit
 
 FEW, MANY = 4, 16  # rays that tell a covered texel: if all of the few meet backs, the many are cast
 WAYS = 8  # directions along the surface in which a covered texel looks for the open
@@ -263,8 +263,8 @@ def _rims(scene, atlas):
     following = np.roll(vertex, -1, axis=1)
     low, high = np.minimum(vertex, following).astype(np.int64), np.maximum(vertex, following).astype(np.int64)
     key = np.column_stack([np.repeat(atlas.chart, 3), low.reshape(-1), high.reshape(-1)])
-    _, inverse, count = np.unique(key, axis=0, return_inverse=True, return_counts=True)
-    return np.divmod(np.flatnonzero(count[inverse.reshape(-1)] == 1), 3)
+    edge = numbered(key)
+    return np.divmod(np.flatnonzero(np.bincount(edge)[edge] == 1), 3)
 
 
 def _shading(scene, atlas, row, weight):

@@ -18,7 +18,7 @@ import numpy as np
 from .points import SAME_NORMAL, make_points
 from .remesh import Remesh
 from .surfaces import Readings
-from .vectors import TINY, counted, dot, unit
+from .vectors import TINY, counted, dot, numbered, unit
 
 WELD = 1e-6  # of the scene's diagonal: vertices closer than this are one
 
@@ -82,7 +82,7 @@ def whole_pieces(scene):
     used = np.unique(scene.triangles[triangle])
     vertex = np.searchsorted(used, scene.triangles[triangle])
     cell = np.rint((scene.vertices[used] - scene.bounds[0]) / max(WELD * scene.diagonal, TINY))
-    place = np.unique(cell, axis=0, return_inverse=True)[1].reshape(-1)
+    place = numbered(cell)
     weight = np.broadcast_to(np.eye(3), (len(triangle), 3, 3)).copy()
     return Pieces(triangle, weight, vertex, scene.vertices[used], place)
 

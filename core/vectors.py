@@ -51,6 +51,16 @@ def runs(count):
     return [slice(k, min(k + RUN, count)) for k in range(0, count, RUN)]
 
 
+def numbered(rows):
+    """(K,) number of each of the rows (K, D) among the different ones, which are numbered in their order."""
+    order = np.lexsort(rows.T[::-1])
+    new = (rows[order[1:]] != rows[order[:-1]]).any(axis=1)
+    number = np.empty(len(rows), np.int64)
+    number[order[:1]] = 0
+    number[order[1:]] = np.cumsum(new)
+    return number
+
+
 def ratio(a, b):
     """a / b where b is positive, else 0."""
     return np.divide(a, b, out=np.zeros(np.broadcast_shapes(np.shape(a), np.shape(b))), where=np.asarray(b) > 0)

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 
 import numpy as np
 import pytest
 
-from cell_radiosity.core.cells import CellError, LocalCells, _Process, make_cells
+from cell_radiosity.core.cells import APART, CellError, LocalCells, _packed, _Process, make_cells, unpacked
 
 from scenes import Lamp, Material, Settings, World, bake, box, icosphere, join_meshes, run
 
@@ -50,6 +52,29 @@ def test_any_number_of_cells_gives_the_same_bits(expected, count):
         result = run(bake(furnished(), SETTINGS, cells))
     assert same(result, expected)
     assert result.rays == expected.rays
+
+
+def test_arrays_of_any_kind_pass_a_pipe_whole(rng):
+    """Large ones, which are sent without a copy, and small, empty, strided and transposed ones; the receiver's are its own."""
+    large = rng.random((300, 1000))
+    sent = {
+        "large": large, "small": large[0, :3].copy(), "empty": np.zeros((0, 3)), "strided": large[::2, ::3],
+        "transposed": large.T, "fixed": np.broadcast_to(large[0], (200, 1000)), "bool": large > 0.5,
+    }  # fmt: skip
+    here, there = multiprocessing.Pipe()
+    message = _packed(("arrays", sent), APART)
+    assert sum(isinstance(part, memoryview) for part in message) == 3
+    writer = threading.Thread(target=lambda: [here.send_bytes(part) for part in message])
+    writer.start()
+    kind, found = unpacked(there)
+    writer.join()
+    assert kind == "arrays"
+    assert found.keys() == sent.keys()
+    for name, array in sent.items():
+        assert found[name].dtype == array.dtype
+        assert np.array_equal(found[name], array)
+    found["large"][:] = 0
+    assert large.any()
 
 
 BUSY = Settings(gather_rays=512)  # with these, cells have work for a while in every phase

@@ -12,6 +12,7 @@ from cell_radiosity.core.atlas import NoUnwrapper, make_atlas, rasterize, read_a
 from cell_radiosity.core.lightmap import find_seams, look_up, make_images, make_texels
 from cell_radiosity.core.polygons import clip_polygons
 from cell_radiosity.core.raycast import RayCaster
+from cell_radiosity.core.vectors import numbered
 
 from scenes import Lamp, Material, Settings, bake, box, icosphere, join_meshes, point_light, run, sheet
 
@@ -49,6 +50,16 @@ def clipped_area(triangle, column, row):
     p = polygon[0, : sides[0]]
     q = np.roll(p, -1, axis=0)
     return abs((p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]).sum()) / 2
+
+
+def test_rows_are_numbered_in_their_order(rng):
+    for rows in (
+        rng.integers(-2, 3, (500, 3)),
+        rng.integers(0, 2, (50, 1)),
+        np.zeros((0, 2)),
+        np.array([[-0.0], [0.0]]),
+    ):
+        assert np.array_equal(numbered(rows), np.unique(rows, axis=0, return_inverse=True)[1].reshape(-1))
 
 
 def test_every_texel_that_a_triangle_touches_is_found_and_no_other(rng):
