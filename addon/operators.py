@@ -96,9 +96,8 @@ class _Work(_Idle):
         self._scene = context.scene.name
         self._steps = self._all(context)
         self._timer = context.window_manager.event_timer_add(TICK, window=context.window)
-        self._told = 0.0
         context.window_manager.modal_handler_add(self)
-        redraw(context)
+        self._tell(context)
         return {"RUNNING_MODAL"}
 
     def modal(self, context, event):
@@ -118,7 +117,8 @@ class _Work(_Idle):
                 running.drop()
                 self.report({"ERROR"}, tr_message(str(problem) or type(problem).__name__))
                 return self._end(context, "CANCELLED")
-            self._tell(context)
+            if perf_counter() - self._told > PANEL:
+                self._tell(context)
         # While the scene is read or written step by step, nobody may change it between two steps.
         return {"RUNNING_MODAL"} if running.phase != "work" else {"PASS_THROUGH"}
 
@@ -183,9 +183,7 @@ class _Work(_Idle):
         return ""
 
     def _tell(self, context):
-        """Keep the status bar and the panels up to date."""
-        if perf_counter() - self._told < PANEL:
-            return
+        """Bring the status bar and the panels up to date."""
         self._told = perf_counter()
         text = phase_text(self._running)
         context.workspace.status_text_set(f"Radiosity: {text}   [Esc] {tr(self.keeps)}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from math import inf
 from time import perf_counter
 
@@ -21,11 +21,12 @@ def in_steps(work, step):
 
 
 def aside(step, function, *arguments, **named):
-    """What a function of plain arrays returns. It runs in a thread while this waits; at once if a step may take forever."""
+    """What a function of plain arrays returns. It runs in a thread, for which this waits in steps of so many seconds; at once
+    if a step may take forever."""
     if step == inf:
         return function(*arguments, **named)
     with ThreadPoolExecutor(1, "radiosity aside") as thread:
         result = thread.submit(function, *arguments, **named)
-        while not result.done():
+        while not wait([result], step).done:
             yield
     return result.result()
