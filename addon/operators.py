@@ -273,6 +273,7 @@ class RADIOSITY_OT_bake(_Work, bpy.types.Operator):
         if job.result.price:
             settings.note_prices(job.result.price, self._key, Session.changes != self._changes)
         result.layers = "" if lightmaps else ",".join(job.options.layers)
+        result.note_groups(None if lightmaps else job.result.groups)
         if partial:
             text = tr("Bake ended early: the light so far was kept")
         else:
@@ -403,6 +404,23 @@ class RADIOSITY_OT_expose(_OfResult, bpy.types.Operator):
         return {"FINISHED"}
 
 
+class RADIOSITY_OT_reset_lights(_OfResult, bpy.types.Operator):
+    """Set the lights of all groups back to what they were baked with"""
+
+    bl_idname = "radiosity.reset_lights"
+    bl_label = "As Baked"
+    bl_options = {"UNDO"}
+
+    @writing
+    def execute(self, context):
+        settings = context.scene.radiosity
+        for group in settings.result.groups:
+            group.property_unset("strength")
+            group.property_unset("color")
+        settings.relight()
+        return {"FINISHED"}
+
+
 class RADIOSITY_OT_set_up_materials(_OfResult, bpy.types.Operator):
     """Put the layer that is shown into the materials of the baked objects, with a node that can be taken out again"""
 
@@ -476,6 +494,7 @@ CLASSES = (
     RADIOSITY_OT_choose,
     RADIOSITY_OT_show_layer,
     RADIOSITY_OT_expose,
+    RADIOSITY_OT_reset_lights,
     RADIOSITY_OT_set_up_materials,
     RADIOSITY_OT_take_out_of_materials,
     RADIOSITY_OT_clear,

@@ -139,6 +139,8 @@ def _draw_result(layout, settings, holds):
         box.label(text=tr("Cancelled: this is the light so far"))
     elif result.error >= 0 and not result.converged:
         _paragraph(box, tr("{} % was asked for and could not be reached", f"{100 * result.asked:.2g}"), "INFO")
+    if result.relit:
+        box.label(text=tr("Lights have been changed since"))
     if result.worst:
         box.label(text=tr("Least exact: {}, {} %", result.worst, f"{100 * result.worst_error:.2g}"))
     goal = result.goal()
@@ -180,6 +182,29 @@ class RADIOSITY_PT_view(_Panel, bpy.types.Panel):
             if any_set_up():
                 column.operator("radiosity.take_out_of_materials", icon="LOOP_BACK")
         layout.operator("radiosity.clear", icon="TRASH")
+
+
+class RADIOSITY_PT_lights(_Panel, bpy.types.Panel):
+    """The light groups of the result, to be made stronger, weaker or of another color without a bake."""
+
+    bl_label = "Lights"
+    bl_idname = "RADIOSITY_PT_lights"
+    bl_parent_id = "RADIOSITY_PT_main"
+
+    @classmethod
+    def poll(cls, context):
+        return Session.running is None and len(context.scene.radiosity.result.groups) > 0
+
+    def draw(self, context):
+        result, layout = context.scene.radiosity.result, self.layout
+        column = layout.column(align=True)
+        column.enabled = context.mode == "OBJECT"
+        for group in result.groups:
+            row = column.row(align=True).split(factor=0.8, align=True)
+            row.prop(group, "strength", text=group.name, translate=False, slider=True)
+            row.prop(group, "color", text="")
+        if result.relit:
+            layout.operator("radiosity.reset_lights", icon="LOOP_BACK")
 
 
 class RADIOSITY_PT_effects(_Panel, bpy.types.Panel):
@@ -303,5 +328,12 @@ def _twin(panel):
     return type(names["bl_idname"], (bpy.types.Panel,), {**own, **names})
 
 
-SIDEBAR = (RADIOSITY_PT_main, RADIOSITY_PT_view, RADIOSITY_PT_effects, RADIOSITY_PT_health, RADIOSITY_PT_advanced)
+SIDEBAR = (
+    RADIOSITY_PT_main,
+    RADIOSITY_PT_view,
+    RADIOSITY_PT_lights,
+    RADIOSITY_PT_effects,
+    RADIOSITY_PT_health,
+    RADIOSITY_PT_advanced,
+)
 CLASSES = (*SIDEBAR, *(_twin(panel) for panel in SIDEBAR))

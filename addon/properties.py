@@ -10,6 +10,7 @@ from bpy.props import (
     CollectionProperty,
     EnumProperty,
     FloatProperty,
+    FloatVectorProperty,
     IntProperty,
     PointerProperty,
     StringProperty,
@@ -20,6 +21,7 @@ from ..core.settings import EFFECTS, PRESETS
 from .job import NOTHING, Options
 from .preferences import PRESET_ITEMS, preference
 from .preflight import price_key
+from .relight import relight
 from .session import writing
 from .translations import CONTEXT
 from .viewport import show
@@ -46,6 +48,12 @@ def _show(settings, context):
         show(settings.id_data, settings.shown, settings.exposure)
 
 
+@writing
+def _relight(group, context):
+    """Show the result with a light group as it was just set."""
+    group.id_data.radiosity.relight()
+
+
 class RADIOSITY_PG_effect(bpy.types.PropertyGroup):
     """An effect of light, why it was needed or not, and what it has cost; seconds that are not known are -1."""
 
@@ -59,6 +67,26 @@ class RADIOSITY_PG_finding(bpy.types.PropertyGroup):
 
     finding: StringProperty()
     action: StringProperty()
+
+
+class RADIOSITY_PG_group(bpy.types.PropertyGroup):
+    """A light group of the last bake, and what its lights were changed by since."""
+
+    strength: FloatProperty(
+        name="Strength",
+        description="How many times as strong as they were baked the lights of this group are; the lamps themselves stay as they are",
+        default=1.0, min=0.0, soft_max=4.0, precision=2, step=5, update=_relight,
+    )  # fmt: skip
+    color: FloatVectorProperty(
+        name="Color",
+        description="What the light of this group is colored with, on top of the color that it was baked with",
+        subtype="COLOR", default=(1.0, 1.0, 1.0), min=0.0, soft_max=1.0, update=_relight,
+    )  # fmt: skip
+
+    @property
+    def factor(self):
+        """What its light is multiplied by: (r, g, b)."""
+        return tuple(self.strength * channel for channel in self.color)
 
 
 class RADIOSITY_PG_price(bpy.types.PropertyGroup):
@@ -84,6 +112,12 @@ class RADIOSITY_PG_result(bpy.types.PropertyGroup):
     effects: CollectionProperty(type=RADIOSITY_PG_effect)
     health: CollectionProperty(type=RADIOSITY_PG_finding)
     ignored: CollectionProperty(type=RADIOSITY_PG_finding)
+    groups: CollectionProperty(type=RADIOSITY_PG_group)
+
+    @property
+    def relit(self):
+        """Whether lights are other than they were baked."""
+        return any(group.factor != (1.0, 1.0, 1.0) for group in self.groups)
 
     def goal(self):
         """The error that is worth offering next: None if nothing is known of this one, or rays are of no use."""
@@ -97,8 +131,14 @@ class RADIOSITY_PG_result(bpy.types.PropertyGroup):
         """Forget the bake."""
         for name in ("points", "seconds", "error", "asked", "converged", "layers", "worst", "worst_error", "partial"):
             self.property_unset(name)
-        for found in (self.effects, self.health, self.ignored):
+        for found in (self.effects, self.health, self.ignored, self.groups):
             found.clear()
+
+    def note_groups(self, groups):
+        """Keep the names of the core's Groups, or None."""
+        self.groups.clear()
+        for name in groups.names if groups else ():
+            self.groups.add().name = name
 
     def note_estimate(self, bake):
         """Keep what is known of a Bake's error, and which one was asked for."""
@@ -374,6 +414,12 @@ class RADIOSITY_PG_settings(bpy.types.PropertyGroup):
     priced: StringProperty(options={"HIDDEN"})
     edited: BoolProperty(options={"HIDDEN"})
 
+    def relight(self):
+        """Show the result with its light groups as they are set."""
+        relight(self.id_data, {group.name: group.factor for group in self.result.groups})
+        if self.shown and self.exposure:
+            show(self.id_data, self.shown, self.exposure)
+
     def note_prices(self, prices, key, edited=False):
         """Keep what accuracies cost, a tuple of the core's Price. key: what it depends on, see preflight.price_key;
         edited: the scene was changed since it was read."""
@@ -440,6 +486,7 @@ class RADIOSITY_PG_settings(bpy.types.PropertyGroup):
 
 CLASSES = (
     RADIOSITY_PG_effect,
+    RADIOSITY_PG_group,
     RADIOSITY_PG_finding,
     RADIOSITY_PG_price,
     RADIOSITY_PG_result,

@@ -286,7 +286,7 @@ class Drawn:
     def column(self, **_):
         return self
 
-    row = box = column
+    row = box = split = column
 
 
 def drawn(panel=panels.RADIOSITY_PT_main):
@@ -400,6 +400,83 @@ def test_layers_are_shown_and_exposed_and_cleared(room):
     assert room.radiosity.result.points == -1
     assert not any(m.color_attributes for m in bpy.data.meshes)
     assert not bpy.ops.radiosity.clear.poll()
+
+
+def sums(mesh, layer, factors):
+    """What a layer is to be: the sum of its groups' layers times factors."""
+    return sum(colors(mesh, f"{layer}_{group}") * np.array(factor) for group, factor in factors.items())
+
+
+def test_lights_are_changed_after_the_bake_without_a_ray(room, tmp_path, monkeypatch):
+    """Every lit layer and its 8-bit copy, as `radiosity relight` makes them; the groups' own layers stay."""
+    bpy.data.objects["cube"].data.materials[0] = glowing("glow", (0.2, 1.0, 0.4), 2.0)
+    cube("block", location=(1.8, 0.0, 1.1), material=bpy.data.materials["red"])
+    settings = room.radiosity
+    settings.groups, settings.bytes, settings.byte_automatic, settings.byte_exposure = "lamp", True, False, -1.0
+    settings.layers = {"Radiosity", "Lighting", "Direct", "Indirect", "Occlusion"}
+    bpy.ops.radiosity.bake()
+    groups = settings.result.groups
+    assert [g.name for g in groups] == ["POINT", "cube"]
+    assert not settings.result.relit
+    floor = bpy.data.meshes["plane"]
+    before = {a.name: colors(floor, a.name) for a in floor.color_attributes}
+    monkeypatch.setattr(Session, "warm_cells", None)
+    groups["POINT"].strength, groups["cube"].color = 0.5, (1.0, 0.0, 0.5)
+    groups["cube"].strength = 3.0
+    factors = {"POINT": (0.5, 0.5, 0.5), "cube": (3.0, 0.0, 1.5)}
+    for layer in ("Radiosity", "Lighting", "Direct", "Indirect"):
+        now = colors(floor, layer)
+        np.testing.assert_allclose(now, sums(floor, layer, factors), rtol=1e-6, atol=1e-9)
+        assert np.abs(now - before[layer]).max() > 0.1 * before[layer].max()
+        np.testing.assert_allclose(colors(floor, f"{layer}_8bit"), np.clip(now / 2, 0, 1), atol=0.01)
+        assert np.array_equal(colors(floor, f"{layer}_cube"), before[f"{layer}_cube"])
+    assert np.array_equal(colors(floor, "Occlusion"), before["Occlusion"])
+    # What glows looks as bright as it is set.
+    assert colors(bpy.data.meshes["cube"], "Radiosity").max(axis=0)[0] == pytest.approx(0.2 * 2 * 3, rel=0.5)
+    settings.exposure = 1.0
+    groups["POINT"].strength = 0.0
+    factors["POINT"] = (0.0, 0.0, 0.0)
+    np.testing.assert_allclose(colors(floor, "Radiosity View"), 2 * sums(floor, "Radiosity", factors), rtol=1e-6)
+    assert settings.prices_hold(bpy.context)  # it is the result alone that has changed
+
+    path = str(tmp_path / "evening.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    bpy.ops.wm.open_mainfile(filepath=path)
+    settings, floor = bpy.context.scene.radiosity, bpy.data.meshes["plane"]
+    assert settings.result.relit
+    assert "Lights have been changed since" in drawn().texts
+    assert drawn(panels.RADIOSITY_PT_lights).texts == ["POINT", "", "cube", "", ""]
+    bpy.ops.radiosity.reset_lights()
+    assert not settings.result.relit
+    for layer in ("Radiosity", "Lighting", "Direct", "Indirect"):
+        np.testing.assert_allclose(colors(floor, layer), before[layer], rtol=1e-5, atol=1e-7)
+    assert drawn(panels.RADIOSITY_PT_lights).texts == ["POINT", "", "cube", ""]
+    bpy.ops.radiosity.clear()
+    assert not panels.RADIOSITY_PT_lights.poll(bpy.context)
+
+
+def test_lights_of_finer_meshes_and_of_vertex_colors_are_changed_too(room):
+    """Copies hold them; what lacks a group's layer, or is in Edit Mode, stays as it is."""
+    settings = room.radiosity
+    settings.groups, settings.mesh, settings.domain, settings.max_edge = "lamp", "subdivide", "POINT", 0.7
+    lamp("SUN", 1.0).name = "Sun"
+    bpy.ops.radiosity.bake()
+    copy, cube_mesh = bpy.data.objects["plane_radiosity"].data, bpy.data.objects["cube_radiosity"].data
+    cube_mesh.color_attributes.remove(cube_mesh.color_attributes["Lighting_Sun"])
+    before = colors(cube_mesh, "Lighting")
+    settings.result.groups["Sun"].strength = 2.0
+    factors = {"POINT": (1.0,) * 3, "Sun": (2.0,) * 3}
+    np.testing.assert_allclose(colors(copy, "Lighting"), sums(copy, "Lighting", factors), rtol=1e-6)
+    np.testing.assert_allclose(colors(cube_mesh, "Radiosity"), sums(cube_mesh, "Radiosity", factors), rtol=1e-6)
+    assert np.array_equal(colors(cube_mesh, "Lighting"), before)
+    bpy.context.view_layer.objects.active = bpy.data.objects["plane_radiosity"]
+    bpy.ops.object.mode_set(mode="EDIT")
+    settings.result.groups["Sun"].strength = 5.0
+    bpy.ops.object.mode_set(mode="OBJECT")
+    np.testing.assert_allclose(colors(copy, "Lighting"), sums(copy, "Lighting", factors), rtol=1e-6)
+    settings.groups = "none"
+    bpy.ops.radiosity.bake()
+    assert not settings.result.groups
 
 
 def links(material):

@@ -222,6 +222,27 @@ def test_the_exposure_leaves_the_layers_alone(box):
     assert box.ask(f"answer = {LAYERS}") == ["Lighting", "Radiosity"]
 
 
+def test_a_light_is_dimmed_with_a_slider_and_one_undo_brings_it_back(box):
+    box.ask(f"{SETTINGS}.preset = 'draft'; {SETTINGS}.groups = 'lamp'")
+    box.ask(PRESS_BAKE)
+    box.until(RUNNING)
+    box.until(IDLE)
+    box.scroll()
+    cells, strength = box.ask(f"answer = {CELLS}"), f"{SETTINGS}.result.groups[0].strength"
+    values = "[list(x.color) for x in list(bpy.data.meshes['room'].color_attributes['Radiosity'].data)[::500]]"
+    before, lit = box.ask(f"answer = {values}"), box.picture()
+    box.drag(box.find_slider(), -200)
+    box.until(f"{strength} == 0")
+    time.sleep(1.0)
+    floor = (slice(560, 620), slice(300, 400))
+    assert box.picture()[floor].mean() < 0.3 * lit[floor].mean()
+    assert box.ask(f"answer = {values}") != before
+    box.press("ctrl+z")
+    box.until(f"{strength} == 1")
+    assert box.ask(f"answer = {values}") == before
+    assert box.ask(f"answer = {CELLS}") == cells  # nothing was baked
+
+
 def test_quitting_and_killing_blender_during_a_bake_leave_no_process(blender, folder):
     for end in ("quit", "kill"):
         window = Window(os.environ["BLENDER"], folder, blender.environment)

@@ -22,6 +22,7 @@ INSIDE = """
 import bpy, json, os, traceback
 bpy.context.preferences.view.show_splash = False
 bpy.context.preferences.use_preferences_save = False
+bpy.context.preferences.inputs.use_mouse_continuous = False
 names = {"bpy": bpy}
 def listen():
     ask = os.path.join(FOLDER, "ask")
@@ -133,8 +134,37 @@ class Window:
         return x, SIZE[1] - y - height, x + width, SIZE[1] - y
 
     def find_button(self):
-        """(x, y) of the tallest button of the panel, Bake or Cancel: for a moment all buttons get a color of their own."""
-        color = "bpy.context.preferences.themes[0].user_interface.wcol_tool.inner"
+        """(x, y) of the tallest button of the panel, Bake or Cancel."""
+        return self._find("wcol_tool", self.TALL)
+
+    def find_slider(self):
+        """(x, y) of the first slider of the panel."""
+        return self._find("wcol_numslider")
+
+    def scroll(self):
+        """Scroll the panel to its end."""
+        left, top, right, bottom = self.panel
+        self._type("mousemove", (left + right) // 2, (top + bottom) // 2)
+        time.sleep(0.2)
+        self._type("click", "--repeat", 30, "--delay", 10, 5)
+        time.sleep(1.0)
+
+    def drag(self, place, by):
+        """Press the mouse at (x, y), and let it go so many pixels to the right."""
+        self._type("mousemove", *place)
+        time.sleep(0.3)
+        self._type("mousedown", 1)
+        for step in range(1, 6):
+            self._type("mousemove", place[0] + by * step // 5, place[1])
+            time.sleep(0.1)
+        self._type("mouseup", 1)
+
+    TALL = 20  # pixels that only Bake and Cancel reach
+
+    def _find(self, kind, height=8):
+        """(x, y) of the first widget of a kind in the panel that is taller than so many pixels: for a moment all of the kind
+        get a color of their own."""
+        color = f"bpy.context.preferences.themes[0].user_interface.{kind}.inner"
         former = self.ask(f"answer = list({color}); {color} = (1, 0, 1, 1); area.tag_redraw()")
         left, top, right, bottom = self.panel
         try:
@@ -143,12 +173,13 @@ class Window:
                 part = self.picture()[top:bottom, left:right].astype(int)
                 colored = (part[..., 0] > 200) & (part[..., 1] < 80) & (part[..., 2] > 200)
                 rows = np.flatnonzero(colored.sum(axis=1) > (right - left) // 3)
-                tallest = max(np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1), key=len)
-                if len(tallest) > 20:
-                    return (left + right) // 2, int(top + tallest.mean())
+                runs = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
+                found = next((run for run in runs if len(run) > height), None)
+                if found is not None:
+                    return (left + right) // 2, int(top + found.mean())
         finally:
             self.ask(f"{color} = {former}; area.tag_redraw()")
-        raise AssertionError("there is no button in the panel")
+        raise AssertionError(f"there is no such widget in the panel: {kind}")
 
     def close(self):
         """End Blender and its screen, whatever they are at."""
