@@ -513,7 +513,8 @@ def solve(patches, surfaces, sky, cells, settings, survey=None, known=None):
                 inside, outside = state.missing()
             else:
                 # No bright side is left without a row: solve, and see whether that brightens the others.
-                irradiance, more, inside = state.settle(target)
+                # Either half of what may be missing, of sides with rows and of the others, is the half of the target.
+                irradiance, more, inside = state.settle(target / 2)
                 sweeps += more
                 _, outside = state.missing()
                 settled = outside <= target / 2 or shots >= MOST_ROWS * count or not len(state.pick(taken))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from cell_radiosity.core import host
 from cell_radiosity.core.cells import LocalCells
 from cell_radiosity.core.host import RayRows, Transport, fixed_point, solve
 from cell_radiosity.core.kernel import scene_arrays
@@ -146,3 +147,22 @@ def test_nothing_gives_light():
     assert not solution.irradiance.any()
     assert solution.converged
     assert solution.energy["emitted_w"] == 0.0
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("error", [0.5, 0.2])
+def test_a_solve_that_ends_by_itself_has_converged(error, seed, monkeypatch):
+    """Also where sides that next to no light reaches are left without rows: the bound on what they may still send and that
+    on the rest are below the target together."""
+    monkeypatch.setattr(host, "BATCH", 8)
+    monkeypatch.setattr(host, "BATCH_SHARE", 0.05)
+    scene = SCENES["translucent"]
+    patches = make_patches(scene, 0.15)
+    sources, sampled = make_sources(scene)
+    cells = LocalCells()
+    cells.start(scene_arrays(scene, patches, sources))
+    surfaces, settings = make_surfaces(scene, patches, sampled), Settings(error=error, seed=seed, row_rays=RAYS)
+    solution = run(solve(patches, surfaces, np.zeros((3, 1)), cells, settings))
+    assert solution.rounds[-1].shots < 2 * len(patches)
+    assert solution.bound <= error / 10
+    assert solution.converged
