@@ -16,7 +16,7 @@ import numpy as np
 from .anew import read_light
 from .filter import Filter
 from .kernel import blocks
-from .lights import FLAT, test_rays, unoccluded
+from .lights import FLAT, test_rays, unlike, unoccluded
 from .points import pairs
 from .records import to_arrays
 from .sampling import R2, fraction, hemisphere, lattice, scatter, tangents
@@ -30,7 +30,8 @@ REPLICATES = 12  # with steps of their own
 SEEDS = 1 << 20  # between the seeds of replicates
 
 TESTS = 4  # test rays toward a source, before it is known whether it is partly hidden
-UNLIKE = 6  # times as many where the source does not shine in all directions alike
+MAIN = 0.25  # share of a point's light from which on a source gets all of them
+UNLIKE = 6  # times as many where the parts of the source do not shine alike
 PENUMBRA = 1.5  # more test rays where it is, as a multiple of the gather rays
 DIM = 0.02  # a point that gets less than this share of its unoccluded light is tested DIM_TESTS times more
 DIM_TESTS = 16
@@ -393,26 +394,30 @@ def _direct(kernel, own, rays, tests, seed):
     position, normal, geometric = points.position[ids], points.normal[ids], points.geometric[ids]
     origin = kernel.caster.start(position, geometric)
 
-    def test(s, who, first, count):
-        """Sums of the weights (K,) of `count` (K,) test rays of each of `who` (K,), from number `first` on, and of
+    def test(s, who, after, count):
+        """Sums of the weights (K,) of `count` (K,) test rays of each of `who` (K,), from number `after` (K,) on, and of
         those that get through."""
         owner, number = counted(count)
-        a, b = _test_places(ids[who][owner], first + number, s, seed)
-        each = (x[who][owner] for x in (position, normal, geometric, origin))
+        rows = who[owner]
+        a, b = _test_places(ids[rows], after[owner] + number, s, seed)
+        each = (
+            np.take(x, rows, axis=0) for x in (position, normal, geometric, origin)
+        )  # a seventh of the time of x[rows]
         weight, seen = test_rays(sources, s, kernel.caster, *each, a, b)
         begin = np.cumsum(count) - count
         return np.add.reduceat(weight, begin), np.add.reduceat(seen, begin)
 
     factor = np.stack([unoccluded(sources, s, position, normal) for s in range(len(sources))], axis=1)
+    possible = factor * sources.strength.max(axis=1)
+    share = ratio(possible, possible.sum(axis=1, keepdims=True))
+    first = np.stack([_tests(kernel, s, position, share[:, s], tests) for s in range(len(sources))], axis=1)
     weight, seen, tested = np.zeros(factor.shape), np.zeros(factor.shape), thread_time()
     for s in range(len(sources)):
         lit = np.flatnonzero(factor[:, s] > 0)
         if len(lit):
-            weight[lit, s], seen[lit, s] = test(s, lit, 0, np.full(len(lit), _tests(kernel, s, tests)))
+            weight[lit, s], seen[lit, s] = test(s, lit, np.zeros(len(lit), np.int64), first[lit, s])
 
     # Where the light is partly hidden: more rays, by the source's share of what the point could get.
-    possible = factor * sources.strength.max(axis=1)
-    share = ratio(possible, possible.sum(axis=1, keepdims=True))
     most = 2 * PENUMBRA * rays * tests
     dim = (possible * ratio(seen, weight)).sum(axis=1) < DIM * possible.sum(axis=1)
     for s in range(len(sources)):
@@ -426,7 +431,7 @@ def _direct(kernel, own, rays, tests, seed):
         count = count.astype(np.int64)
         more = np.flatnonzero(count[: len(own)])
         if len(more):
-            extra = test(s, more, _tests(kernel, s, tests), count[more])
+            extra = test(s, more, first[more, s], count[more])
             weight[more, s] += extra[0]
             seen[more, s] += extra[1]
     arriving = (factor * ratio(seen, weight))[: len(own)]
@@ -434,13 +439,14 @@ def _direct(kernel, own, rays, tests, seed):
     return np.einsum("ks,sc->ck", arriving, sources.strength)
 
 
-def _tests(kernel, s, tests):
-    """Test rays toward a source before anything is known, `tests` times as many as usual. One that does not shine in all directions alike needs more of
-    them: the share that is visible is a ratio of sums of weights, which few very unlike weights bias."""
+def _tests(kernel, s, position, share, tests):
+    """(K,) test rays from points toward a source before anything is known, `tests` times as many as usual: fewer the less of
+    their light is its, and more where its parts do not shine alike: the share that is visible is a ratio of sums of weights,
+    which few very unlike weights bias."""
     if _sharp(kernel, s):
-        return 1
-    usual = TESTS if kernel.sources.cone[s, 0] <= -1 else UNLIKE * TESTS
-    return max(int(tests * usual), 1)
+        return np.ones(len(position), np.int64)
+    usual = np.where(unlike(kernel.sources, s, position), UNLIKE * TESTS, TESTS)
+    return np.maximum(np.ceil(tests * usual * np.sqrt(np.minimum(share / MAIN, 1.0))), 1.0).astype(np.int64)
 
 
 def _sharp(kernel, s):

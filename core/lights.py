@@ -195,6 +195,22 @@ def from_one_test(sources, s, position, normal, seen, a):
     return factor
 
 
+def unlike(sources, s, position):
+    """(K,) bool: whether the parts of source s do not all shine toward points as strongly: where the rim of a spot's cone
+    crosses its disk, and everywhere if it is a flat one of limited spread."""
+    edge, blend = sources.cone[s]
+    if sources.kind[s] != BALL or edge <= -1:
+        return np.full(len(position), sources.kind[s] == FLAT and edge > 0)
+    toward, radius = sources.position[s] - position, sources.radius[s]
+    square = dot(toward, toward)
+    along = -dot(toward, sources.direction[s])
+    across = radius * np.sqrt(np.maximum(ratio(square - along * along, square), 0.0))
+    reach = np.sqrt(square + radius * radius)
+    whole = along - across >= (edge + (1.0 - edge) * blend) * reach
+    none = (along + across <= edge * reach) & (along * reach < square)  # and the axis does not meet the disk
+    return ~(whole | none)
+
+
 def _cone_share(sources, s, position, normal):
     """(K,) share of a spot's light toward points that its cone lets through."""
     toward, radius = sources.position[s] - position, sources.radius[s]
@@ -203,14 +219,7 @@ def _cone_share(sources, s, position, normal):
         return share
     # Each part of the disk shines by its own place in the cone. Most points see the whole disk, or nothing of it, in full
     # light, as they see its center: the others alone have their places looked at, which takes thirty times as long.
-    square = dot(toward, toward)
-    along = -dot(toward, sources.direction[s])
-    across = radius * np.sqrt(np.maximum(ratio(square - along * along, square), 0.0))
-    reach = np.sqrt(square + radius * radius)
-    edge, blend = sources.cone[s]
-    whole = along - across >= (edge + (1.0 - edge) * blend) * reach
-    none = (along + across <= edge * reach) & (along * reach < square)  # and the axis does not meet the disk
-    mixed = np.flatnonzero(~(whole | none))
+    mixed = np.flatnonzero(unlike(sources, s, position))
     place = position[mixed, None]
     each = _on_disk(sources, s, place, *lattice(DISK_PLACES)) - place
     weight = np.maximum(dot(each, normal[mixed, None]), 0.0)
