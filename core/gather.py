@@ -407,7 +407,7 @@ def _direct(kernel, own, rays, tests, seed):
         begin = np.cumsum(count) - count
         return np.add.reduceat(weight, begin), np.add.reduceat(seen, begin)
 
-    factor = np.stack([unoccluded(sources, s, position, normal) for s in range(len(sources))], axis=1)
+    factor = kernel.factors_at(ids)
     possible = factor * sources.strength.max(axis=1)
     share = ratio(possible, possible.sum(axis=1, keepdims=True))
     first = np.stack([_tests(kernel, s, position, share[:, s], tests) for s in range(len(sources))], axis=1)

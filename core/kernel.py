@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .alpha import Alpha, make_alpha
-from .lights import Sources
+from .lights import Sources, unoccluded
 from .patches import Patches, patch_of_hit
 from .points import Points
 from .raycast import RayCaster
@@ -20,6 +20,7 @@ from .records import from_arrays, to_arrays
 from .sky import cells_of
 
 NONE = np.zeros(0)  # stands for an array that there is not: cells keep what they are not given anew
+MOST_FACTORS = 1 << 21  # of sources at points that are kept, 16 MB
 BLOCK = 1 << 14  # rays cast at a time: their arrays stay in the processor's cache
 
 
@@ -107,6 +108,23 @@ class Kernel:
         far = np.where(self.patches.element_square[:, None], p + a + b, p + b)
         owner = np.repeat(np.arange(len(self.patches)), np.diff(self.patches.element_start))
         return np.stack([p, p + a, far, p + b], axis=1), owner
+
+    @cached_property
+    def factors(self):
+        """(P, S) what every source would give every point with nothing in between, per unit of strength: NaN where it has not
+        been asked for, or None if it would take too much memory. Each replicate asks for the same again."""
+        shape = len(self.points), len(self.sources)
+        return np.full(shape, np.nan) if shape[0] * shape[1] <= MOST_FACTORS else None
+
+    def factors_at(self, ids):
+        """(K, S) those at points ids (K,)."""
+        new = ids if self.factors is None else ids[np.isnan(self.factors[ids, 0])]
+        position, normal = self.points.position[new], self.points.normal[new]
+        found = np.stack([unoccluded(self.sources, s, position, normal) for s in range(len(self.sources))], axis=1)
+        if self.factors is None:
+            return found
+        self.factors[new] = found
+        return self.factors[ids]
 
     def renewed(self, arrays):
         """A kernel with some arrays replaced; what was built from the others is kept."""

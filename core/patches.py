@@ -144,12 +144,17 @@ def patch_of_hit(patches, vertices, triangles, triangle, u, v):
     patch = np.take(patches.cell_patch, cell[:, 0] + row * cell[:, 1] + column)
     if len(patches.cut_patch):
         hit = np.flatnonzero(patch < 0)
-        a, b, c = np.moveaxis(vertices[triangles[triangle[hit]]], 1, 0)
-        place = a + u[hit, None].astype(float) * (b - a) + v[hit, None].astype(float) * (c - a)
-        cut = -1 - patch[hit]
-        plane = patches.cut_plane[cut]
-        front = np.einsum("kpd,kd->kp", plane[..., :3], place) > plane[..., 3]
-        patch[hit] = patches.cut_patch[cut, (front << np.arange(CUTS)).sum(axis=1)]
+        # Up to half of the hits can be here: a coordinate and a plane at a time, which takes a third of the time.
+        corners = np.take(triangles, np.take(triangle, hit), axis=0).T
+        a, b, c = (np.take(vertices, corner, axis=0).T for corner in corners)
+        s, t = np.take(u, hit).astype(float), np.take(v, hit).astype(float)
+        place = [p + s * (q - p) + t * (r - p) for p, q, r in zip(a, b, c)]
+        cut = -1 - np.take(patch, hit)
+        planes, front = np.take(patches.cut_plane, cut, axis=0), np.zeros(len(hit), np.int64)
+        for k in range(CUTS):
+            x, y, z, level = planes[:, k].T
+            front |= (x * place[0] + y * place[1] + z * place[2] > level).astype(np.int64) << k
+        patch[hit] = patches.cut_patch[cut, front]
     return patch
 
 
