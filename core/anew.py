@@ -11,6 +11,7 @@ import numpy as np
 from .lights import from_one_test, likely_light, test_rays
 from .sampling import hemisphere, tangents
 from .scene import normal_and_area
+from .vectors import by_coordinate, take
 
 
 def reflect_anew(kernel, hit, chosen, x):
@@ -19,7 +20,8 @@ def reflect_anew(kernel, hit, chosen, x):
     x: (5, K) samples in [0, 1): which source, a place on it, and the direction of the ray.
     """
     triangle, back = hit.triangle[chosen], hit.back[chosen]
-    a, b, c = np.moveaxis(kernel.vertices[kernel.triangles[triangle]], 1, 0)
+    corners = np.take(kernel.triangles, triangle, axis=0).T
+    a, b, c = (by_coordinate(np.take(kernel.vertices, corner, axis=0)) for corner in corners)
     u, v = hit.u[chosen, None].astype(float), hit.v[chosen, None].astype(float)
     position = a + u * (b - a) + v * (c - a)
     normal = normal_and_area(a, b, c)[0] * np.where(back, -1.0, 1.0)[:, None]
@@ -47,13 +49,17 @@ def _one_source(kernel, position, normal, start, pick, a, b):
     likely = np.stack([likely_light(sources, s, position, normal) for s in range(len(sources))])
     upto = np.cumsum(likely, axis=0)
     picked = (upto <= pick * upto[-1]).sum(axis=0)
-    for s in range(len(sources)):
-        mine = np.flatnonzero(picked == s)
-        if len(mine):
-            place, up = position[mine], normal[mine]
-            _weight, seen = test_rays(sources, s, kernel.caster, place, up, up, start[mine], a[mine], b[mine])
-            factor = from_one_test(sources, s, place, up, seen, a[mine])
-            light[:, mine] = sources.strength[s][:, None] * factor * upto[-1, mine] / likely[s, mine]
+    order = np.argsort(picked, kind="stable")
+    ends = np.searchsorted(picked[order], np.arange(len(sources) + 1))
+    position, normal, start = take(position, order), take(normal, order), take(start, order)
+    picked, a, b = picked[order], a[order], b[order]
+    over = upto[-1, order] / likely[picked, order]
+    for s in np.unique(picked):
+        mine = slice(*ends[s : s + 2])
+        place, up = position[mine], normal[mine]
+        _weight, seen = test_rays(sources, s, kernel.caster, place, up, up, start[mine], a[mine], b[mine])
+        factor = from_one_test(sources, s, place, up, seen, a[mine])
+        light[:, order[mine]] = sources.strength[s][:, None] * (factor * over[mine])
     return light
 
 

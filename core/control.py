@@ -15,7 +15,7 @@ import numpy as np
 from .anew import read_light, reflect_anew
 from .gather import SEEDS, TASK_RAYS, above_surface, direction_tables, world_rays
 from .kernel import blocks
-from .lights import test_rays, unoccluded
+from .lights import test_rays
 from .sampling import R2, R5, fraction, scatter
 from .vectors import ratio
 
@@ -147,21 +147,24 @@ def _direct(kernel, ids, tests, seed):
         return light
     position, normal, geometric = points.position[ids], points.normal[ids], points.geometric[ids]
     start = kernel.caster.start(position, geometric)
-    factor = [unoccluded(sources, s, position, normal) for s in range(len(sources))]
+    factor = kernel.factors_at(ids).T
     given = np.array([f.sum() * sources.strength[s].max() for s, f in enumerate(factor)])
     share = np.sqrt(given / max(given.sum(), 1e-300))
     for s in range(len(sources)):
         if not kernel.occluded and (normal == geometric).all():
             light += sources.strength[s][:, None] * factor[s]
             continue
+        lit = np.flatnonzero(factor[s])
+        if not len(lit):
+            continue
         count = max(int(np.ceil(tests * share[s])), FEWEST_TESTS)
-        owner, number = np.repeat(np.arange(len(ids)), count), np.arange(count)
-        shift = scatter(ids.astype(np.int64)[:, None] * 2 + np.arange(2) + (s << 40), CONTROL + 8 * seed)
+        owner, number = np.repeat(lit, count), np.arange(count)
+        shift = scatter(ids[lit].astype(np.int64)[:, None] * 2 + np.arange(2) + (s << 40), CONTROL + 8 * seed)
         a, b = (fraction(number * R2[k] + shift[:, k, None]) for k in range(2))
-        each = (x[owner] for x in (position, normal, geometric, start))
+        each = (np.take(x, owner, axis=0) for x in (position, normal, geometric, start))
         weight, seen = test_rays(sources, s, kernel.caster, *each, a.reshape(-1), b.reshape(-1))
         visible = ratio(*(np.einsum("kn->k", x.reshape(-1, count)) for x in (seen, weight)))
-        light += sources.strength[s][:, None] * factor[s] * visible
+        light[:, lit] += sources.strength[s][:, None] * (factor[s, lit] * visible)
     return light
 
 

@@ -7,6 +7,7 @@ source, and the test rays that find how much of it is visible. Lamps never block
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from time import thread_time
 
 import numpy as np
@@ -14,7 +15,7 @@ import numpy as np
 from .polygons import polygon_factor
 from .sampling import fraction, lattice, tangents
 from .sky import split_sky
-from .vectors import TINY, cross, dot, length, ratio, unit
+from .vectors import TINY, by_coordinate, cross, dot, from_coordinates, length, ratio, take, unit
 
 # Kinds of source: a flat polygon, a point or spot lamp, a sun, a group of bright directions of the sky.
 FLAT, BALL, SUN, SKY = 0, 1, 2, 3
@@ -74,8 +75,12 @@ class Sources:
 
     def area(self, s):
         """Area of FLAT source s [m^2]."""
-        corners = self.polygon(s)
-        return float(length(cross(corners[1:-1] - corners[0], corners[2:] - corners[0]).sum(axis=0)) / 2)
+        return self._areas[s]
+
+    @cached_property
+    def _areas(self):
+        edges = ((c[1:-1] - c[:1], c[2:] - c[:1]) for c in map(self.polygon, range(len(self))))
+        return [float(length(cross(*e).sum(axis=0)) / 2) for e in edges]
 
     def polygon(self, s):
         """(V, 3) corners of FLAT source s."""
@@ -134,7 +139,7 @@ def lamp_outline(lamp):
 
 def unoccluded(sources, s, position, normal):
     """(K,) irradiance per unit of strength that source s would give points with nothing in between."""
-    kind = sources.kind[s]
+    kind, position, normal = sources.kind[s], by_coordinate(position), by_coordinate(normal)
     if kind == SUN:
         return np.maximum(-dot(normal, sources.direction[s]), 0.0)
     if kind == SKY:
@@ -220,7 +225,7 @@ def _cone_share(sources, s, position, normal):
     # Each part of the disk shines by its own place in the cone. Most points see the whole disk, or nothing of it, in full
     # light, as they see its center: the others alone have their places looked at, which takes thirty times as long.
     mixed = np.flatnonzero(unlike(sources, s, position))
-    place = position[mixed, None]
+    place = by_coordinate(position[mixed, None])
     each = _on_disk(sources, s, place, *lattice(DISK_PLACES)) - place
     weight = np.maximum(dot(each, normal[mixed, None]), 0.0)
     inside = weight * _in_cone(sources, s, each)
@@ -297,6 +302,8 @@ def test_rays(sources, s, caster, position, normal, geometric, start, a, b):
     A weight is proportional to what reaches the position from there; it is 0 below either horizon.
     """
     begun, endless = thread_time(), sources.kind[s] in (SUN, SKY)
+    level = geometric is normal
+    position, normal = by_coordinate(position), by_coordinate(normal)
     if endless:
         toward = (_sun_directions if sources.kind[s] == SUN else _sky_directions)(sources, s, a, b)
         weight = dot(toward, normal)
@@ -312,16 +319,19 @@ def test_rays(sources, s, caster, position, normal, geometric, start, a, b):
             weight /= np.maximum(square * square, 1e-300)
             if sources.cone[s, 0] > 0:
                 weight = weight * _narrowed(sources, s, ratio(-dot(toward, sources.direction[s]), np.sqrt(square)))
-    weight = np.where(dot(toward, geometric) > 0, np.maximum(weight, 0.0), 0.0)
+    weight = np.maximum(weight, 0.0)
+    if not level:
+        weight = np.where(dot(toward, by_coordinate(geometric)) > 0, weight, 0.0)
     cast = np.flatnonzero(weight)
+    start, a, toward = np.take(start, cast, axis=0), np.take(a, cast), take(toward, cast)
     if endless:
-        blocked = caster.blocked_toward(start[cast], toward[cast].astype(np.float32), a[cast])
+        blocked = caster.blocked_toward(start, toward.astype(np.float32), a)
     elif sources.kind[s] == FLAT:
         # Aim at a place just above the face, on the side that is seen: the face does not block itself.
-        side = np.sign(-dot(toward[cast], sources.direction[s]))[:, None]
-        blocked = caster.blocked(start[cast], caster.start(aim[cast], side * sources.direction[s]), a[cast])
+        up = np.multiply.outer(sources.direction[s], np.sign(-dot(toward, sources.direction[s]))).T
+        blocked = caster.blocked(start, caster.start(take(aim, cast), up), a)
     else:
-        blocked = caster.blocked(start[cast], caster.place(aim[cast]), a[cast], reach=SHORT)
+        blocked = caster.blocked(start, caster.place(take(aim, cast)), a, reach=SHORT)
     seen = weight.copy()
     seen[cast[blocked]] = 0.0
     caster.note(_effect(sources.origin[s]), begun)
@@ -444,7 +454,7 @@ def _on_polygon(corners, a, b):
     e1, e2 = corners[1:-1] - corners[0], corners[2:] - corners[0]
     area = length(cross(e1, e2))
     if len(corners) == 4 and np.abs(e1[0] + corners[3] - corners[2]).max() <= 1e-9 * np.abs(e2[0]).max():
-        return corners[0] + a[..., None] * e1[0] + b[..., None] * e2[1]
+        return from_coordinates(*(c + a * x + b * y for c, x, y in zip(corners[0], e1[0], e2[1])))
     upper = np.cumsum(area)
     target = a * upper[-1]
     triangle = np.minimum(np.searchsorted(upper, target, side="right"), len(area) - 1)
@@ -458,10 +468,9 @@ def _sun_directions(sources, s, a, b):
     axis = -sources.direction[s]
     if sources.radius[s] == 0:
         return np.broadcast_to(axis, (len(a), 3))
-    x, y = _disk(a, b)
+    x, y = (sources.radius[s] * z for z in _disk(a, b))
     t1, t2 = tangents(axis)
-    toward = axis + sources.radius[s] * (x[:, None] * t1 + y[:, None] * t2)
-    return unit(toward)
+    return unit(from_coordinates(*(c + x * p + y * q for c, p, q in zip(axis, t1, t2))))
 
 
 def _sky_directions(sources, s, a, b):

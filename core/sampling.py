@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from .vectors import from_coordinates
+
 GOLDEN = 0.6180339887498949  # 1 / golden ratio: the best step of a one-dimensional lattice
 R2 = (0.7548776662466927, 0.5698402909980532)  # the same for two dimensions: 1/g and 1/g^2, g^3 = g + 1
 # and for four and five: powers of 1/g, g^5 = g + 1 and g^6 = g + 1
@@ -66,7 +68,7 @@ def _fraction(z):
 def hemisphere(u, v):
     """Cosine-distributed directions about +z, (..., 3) float64, of u, v in [0, 1) (Malley's method)."""
     radius, angle = np.sqrt(u), 2.0 * np.pi * v
-    return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1.0 - u)], axis=-1)
+    return from_coordinates(radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1.0 - u))
 
 
 def tangents(normals):
@@ -75,7 +77,7 @@ def tangents(normals):
     sign = np.where(z >= 0, 1.0, -1.0)
     a = -1.0 / (sign + z)
     b = x * y * a
-    first, second = np.empty(normals.shape), np.empty(normals.shape)
+    first, second = np.empty_like(normals, float), np.empty_like(normals, float)
     first[..., 0], first[..., 1], first[..., 2] = 1.0 + sign * x * x * a, sign * b, -sign * x
     second[..., 0], second[..., 1], second[..., 2] = b, sign + y * y * a, -y
     return first, second

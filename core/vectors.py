@@ -20,7 +20,7 @@ def dot(a, b):
 def cross(a, b):
     """(..., 3) cross products."""
     a, b = np.broadcast_arrays(a, b)
-    result = np.empty(a.shape, np.result_type(a, b))
+    result = np.empty_like(a, np.result_type(a, b))
     for k in range(3):
         i, j = (k + 1) % 3, (k + 2) % 3
         result[..., k] = a[..., i] * b[..., j] - a[..., j] * b[..., i]
@@ -30,6 +30,22 @@ def cross(a, b):
 def length(a):
     """(...) lengths of vectors."""
     return np.sqrt(dot(a, a))
+
+
+def by_coordinate(a):
+    """Vectors (..., 3) as they are, but stored coordinate by coordinate: what is done to many of them then takes a third to a
+    tenth of the time, and what comes of it is stored so too."""
+    return np.moveaxis(np.ascontiguousarray(np.moveaxis(a, -1, 0)), 0, -1)
+
+
+def from_coordinates(*parts):
+    """(..., 3) vectors of three arrays (...), stored so."""
+    return np.moveaxis(np.stack(parts), 0, -1)
+
+
+def take(a, ids):
+    """(K, 3) vectors ids (K,) of vectors (N, 3) that are stored by coordinate, as they are."""
+    return np.take(a.T, ids, axis=1).T
 
 
 def unit(a, otherwise=0.0):
