@@ -8,6 +8,8 @@ from fnmatch import fnmatchcase
 from math import inf
 from time import perf_counter
 
+import bpy
+
 from ..core.bake import Progress, bake, price, relit, restored, run
 from ..core.cells import make_cells
 from ..core.effects import survey
@@ -176,7 +178,7 @@ class Job:
         self._read_seconds = self._write_seconds = 0.0
         self.scene = self.result = self.survey = self.prices = None
         self.output = make_output(options)
-        self.targets, self.changed = (), ()
+        self.targets, self.changed, self.copies = (), (), None
         if read:
             try:
                 run(self.reading(context))
@@ -194,9 +196,18 @@ class Job:
         self.scene = yield from aside(step, mend, self.scene)
         self._refuse(self.scene.health)
         check_scene(self.scene, self.targets, self.options)
+        self._check_copies()
         self.output.read(context, self.scene, self.targets)
         self._group_of = grouping(context, self.options)
         self._read_seconds = perf_counter() - begun
+
+    def _check_copies(self):
+        """Find what meshes of their own take in place of shared ones. Raises Refused if that is more than there is."""
+        self.copies = self.output.copies([bpy.data.objects[t.object] for t in self.targets if t.same])
+        took = (
+            f"{self.copies.largest}: {self.copies.count} copies of shared meshes take {self.copies.bytes / 1e9:.3g} GB"
+        )
+        check_memory(self.copies.bytes, self.options.budget, f"{took}; fewer objects, or --shared skip")
 
     def bake(self):
         """The core's bake: yields Progress."""
@@ -277,7 +288,7 @@ class Job:
             self.result, scene=scene, version=version(), layers=[name for name, _, _ in found_layers(self.options, self.result)],
             domain=self.output.domain,
             start=self._start, read=self._read_seconds, write=self._write_seconds,
-            lightmaps=self.output.lightmaps,
+            lightmaps=self.output.lightmaps, copies=self.copies,
         )  # fmt: skip
 
     def close(self):

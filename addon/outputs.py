@@ -27,7 +27,17 @@ from .errors import Refused, check_memory
 from .images import image_path, make_image
 from .remesh import carry_groups, groups_of, make_mesh, piece_of
 from .shown import forget_others, show
-from .write_result import check_names, copy_with, result_copies, source_mesh, srgb, write_layers, writing_result
+from .write_result import (
+    Copies,
+    check_names,
+    copies_of_shared,
+    copy_with,
+    result_copies,
+    source_mesh,
+    srgb,
+    write_layers,
+    writing_result,
+)
 
 UV_MAP = "Lightmap"
 EXPOSURE = "cell_radiosity_exposure"  # property of a mesh or image: the light was multiplied by 2 to this
@@ -55,6 +65,8 @@ class VertexColors:
                 if name not in colors:
                     there = ", ".join(c.name for c in colors) or "none"
                     raise Refused(f"{target.object}: it has no color attribute {name!r} (it has: {there})")
+
+    copies = staticmethod(copies_of_shared)  # that objects need whose light goes to their own meshes
 
     def compute(self, result):
         """Make the layers' colors of a Bake."""
@@ -104,6 +116,8 @@ class FinerColors(VertexColors):
     def __init__(self, options):
         super().__init__(options)
         self.place = self._place
+
+    copies = staticmethod(lambda objects: Copies())  # their finer meshes are their own
 
     def _place(self, scene, flipped, cells, light, kept=None):
         self._coarse, o = scene, self.options
@@ -224,6 +238,8 @@ class Lightmaps:
             return scene, from_arrays(Texels, "points", kept), kept
         self._flipped, texels = flipped, make_texels(scene, self.atlas, flipped, cells)
         return scene, texels, {**to_arrays("points", texels), **to_arrays("atlas", self.atlas), "flipped": flipped}
+
+    copies = staticmethod(lambda objects: Copies())  # of objects, to show the images, there are some anyhow
 
     def compute(self, result):
         """Make the images of a Bake."""

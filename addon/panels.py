@@ -91,7 +91,10 @@ def _draw_preflight(layout, context, settings):
     row = layout.row()
     row.label(text=tr("{} objects, {} face corners", look.objects, look.corners), icon="MESH_DATA")
     if look.problem:
-        _paragraph(layout, tr(look.problem), "ERROR")
+        _paragraph(layout, tr_message(look.problem), "ERROR")
+    elif look.copies.count:
+        text = tr("{} shared meshes are copied: {} MB", look.copies.count, f"{look.copies.bytes / 1e6:.1f}")
+        layout.label(text=text, icon="DUPLICATE")
     if look.findings:
         header, body = layout.panel("radiosity_preflight", default_closed=True)
         header.label(text=tr("Before the bake: {} notes", len(look.findings)), icon="INFO")

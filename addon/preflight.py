@@ -11,10 +11,11 @@ import bpy
 from ..core.health import Finding
 from .job import NOTHING, Options, default_cells, wanted_by
 from .marks import is_made, made_layers
+from .outputs import make_output
 from .preferences import preference
 from .read_scene import SOLID, rendered_names
 from .session import Session
-from .write_result import result_copy
+from .write_result import Copies, result_copy
 
 LIGHTS = {"LIGHT"}
 # Of the options, what a price list does not depend on.
@@ -23,11 +24,12 @@ ACCURACY = ("error", "time", "layers", "domain", "strict", "output", "bytes", "e
 
 @dataclass(frozen=True)
 class Preflight:
-    """objects, corners: how many meshes and face corners get their light. findings: of objects that need a word, with
-    what will be done. problem: why a bake cannot start, or "". names: of all objects that take part."""
+    """objects, corners: how many meshes and face corners get their light. copies: of shared meshes. findings: of objects that
+    need a word, with what will be done. problem: why a bake cannot start, or "". names: of all objects that take part."""
 
     objects: int
     corners: int
+    copies: Copies
     findings: tuple
     problem: str = ""
     names: tuple = ()
@@ -40,7 +42,7 @@ def preflight(context, options):
     """The Preflight of the context's scene; looked up again only after an edit."""
     global _last
     key = (Session.edits, Session.writes, context.scene.name, context.view_layer.name, context.mode, options.objects, options.layers,
-           options.shared, bpy.data.filepath)  # fmt: skip
+           options.shared, options.budget, options.target, options.mesh, bpy.data.filepath)  # fmt: skip
     if _last[0] != key:
         _last = (key, _look(context, options))
     return _last[1]
@@ -61,7 +63,7 @@ def _look(context, options):
     rendered = rendered_names(scene)
     users = Counter(o.data for o in scene.objects if o.type == "MESH")
     wanted = wanted_by(options.objects)
-    findings, objects, corners, light, shapes, names = [], 0, 0, _world_shines(scene), 0, []
+    findings, objects, own, corners, light, shapes, names = [], 0, [], 0, _world_shines(scene), 0, []
 
     def say(object, finding, action):
         findings.append(Finding(object.name, finding, action))
@@ -101,6 +103,8 @@ def _look(context, options):
         evaluated = (copy or object).evaluated_get(depsgraph).data
         if copy is not None or len(evaluated.loops) != len(mesh.loops):
             say(object, "its modifiers change its faces", f"its light is written to a copy, {object.name}_radiosity")
+        else:
+            own.append(object)
         objects += 1
         corners += len(evaluated.loops)
     problem = ""
@@ -112,7 +116,13 @@ def _look(context, options):
         )
     elif not light:
         problem = "Nothing gives light: add a lamp, an emitting material or a world color"
-    return Preflight(objects, corners, tuple(findings), problem, tuple(names))
+    copies = make_output(options).copies(own)
+    if copies.bytes > options.budget:
+        gigabytes = f"{copies.bytes / 1e9:.1f} GB, more than the {options.budget / 1e9:.1f} GB that may be used"
+        problem = (
+            f"{copies.count} copies of shared meshes take {gigabytes}: write to fewer objects, or skip shared meshes"
+        )
+    return Preflight(objects, corners, copies, tuple(findings), problem, tuple(names))
 
 
 def _world_shines(scene):

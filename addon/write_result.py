@@ -7,6 +7,8 @@ polygons, in a copy of the object, and the original is hidden. What a bake makes
 from __future__ import annotations
 
 import contextlib
+from collections import Counter
+from dataclasses import dataclass
 
 import bpy
 import numpy as np
@@ -17,6 +19,12 @@ from ..core.layers import vertex_means
 from .errors import Refused
 from .images import BRIGHTEST
 from .marks import KEY, hide, is_made, made_layers, mark, mark_layers, originals_shown
+
+# Of one value of an attribute; 4 of all others.
+VALUE_BYTES = {
+    "BOOLEAN": 1, "INT8": 1, "FLOAT2": 8, "INT32_2D": 8, "FLOAT_VECTOR": 12, "FLOAT_COLOR": 16, "QUATERNION": 16,
+    "FLOAT4X4": 64,
+}  # fmt: skip
 
 
 def check_names(targets, layers):
@@ -65,6 +73,34 @@ def write_layers(mesh, colors, domain, encoded=(), channel=None):
         _write_channel(mesh, *channel)
     mesh.color_attributes.active_color = mesh.color_attributes[next(iter(colors))]
     mesh.update()
+
+
+@dataclass(frozen=True)
+class Copies:
+    """What meshes of their own take that objects get in place of shared ones. count: of meshes; bytes: of all; largest: name
+    of the object whose mesh takes most of it with its copies, or ""."""
+
+    count: int = 0
+    bytes: int = 0
+    largest: str = ""
+
+
+def copies_of_shared(objects):
+    """The Copies that objects need if each is to have its own light."""
+    users = Counter(object.data for object in objects)
+    # One of all that share a mesh may keep it.
+    counts = {mesh: min(n, mesh.users - mesh.use_fake_user - 1) for mesh, n in users.items()}
+    taken = {mesh: n * _size(mesh) for mesh, n in counts.items() if n > 0}
+    most = max(taken, key=taken.get, default=None)
+    largest = next((object.name for object in objects if object.data == most), "")
+    return Copies(sum(counts[mesh] for mesh in taken), sum(taken.values()), largest)
+
+
+def _size(mesh):
+    """Bytes that a mesh takes, about."""
+    keys = len(mesh.shape_keys.key_blocks) if mesh.shape_keys else 0
+    own = sum(VALUE_BYTES.get(a.data_type, 4) * len(a.data) for a in mesh.attributes)
+    return own + 4 * len(mesh.polygons) + 12 * keys * len(mesh.vertices)
 
 
 def result_copies(scene):

@@ -61,6 +61,7 @@ SCHEMA = {
         ),
         layers=_list({"type": "string"}),
         objects=_list(_record(name={"type": "string"}, points=_COUNT, domain=_TEXT, error=_NUMBER)),
+        copies=_record(meshes=_COUNT, memory_mb=_NUMBER),
         lightmaps=_list(
             _record(of={"type": "string"}, width=_COUNT, height=_COUNT, texels=_COUNT, charts=_COUNT, unwrap_seconds=_NUMBER)
         ),
@@ -68,8 +69,9 @@ SCHEMA = {
 }  # fmt: skip
 
 
-def make_report(bake, *, scene, version, layers, domain, start, read, write, lightmaps=()):
-    """The report (a dictionary that fits SCHEMA) of a Bake. scene: its file; start, read, write: seconds."""
+def make_report(bake, *, scene, version, layers, domain, start, read, write, lightmaps=(), copies=None):
+    """The report (a dictionary that fits SCHEMA) of a Bake. scene: its file; start, read, write: seconds. copies: the count and
+    bytes of meshes that were copied because objects share them."""
     solution, seconds, cells = bake.solution, bake.seconds, bake.cells
     phases = {k: seconds.get(k) for k in ("survey", "patches", "transport", "gather")}
     return {
@@ -102,6 +104,7 @@ def make_report(bake, *, scene, version, layers, domain, start, read, write, lig
         "price": [price_row(p) for p in bake.price],
         "layers": list(layers),
         "objects": [dict(name=n, points=c, domain=domain, error=e) for n, c, e in _objects(bake)],
+        "copies": {"meshes": copies and copies.count, "memory_mb": copies and copies.bytes / 1e6},
         "lightmaps": list(lightmaps),
     }  # fmt: skip
 

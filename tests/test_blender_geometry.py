@@ -140,9 +140,29 @@ def test_shared_meshes_get_a_copy_each(cells):
     twin = bpy.data.objects.new("twin", floor.data)
     twin.location = (0, 0, -3)
     bpy.context.scene.collection.objects.link(twin)
-    bake_ours(cells)
+    job = bake_ours(cells)
     assert floor.data != twin.data
+    report = job.report("")["copies"]
+    assert report["meshes"] == 1
+    vertices, edges, faces, corners = (len(getattr(twin.data, n)) for n in ("vertices", "edges", "polygons", "loops"))
+    assert report["memory_mb"] == pytest.approx((12 * vertices + 8 * edges + 4 * faces + 8 * corners) / 1e6, rel=0.3)
+    assert bake_ours(cells).report("")["copies"] == {"meshes": 0, "memory_mb": 0}  # each has its own now
     assert colors(floor.data, "Lighting").mean() > 2 * colors(twin.data, "Lighting").mean()
+
+
+def test_copies_that_memory_cannot_hold_are_refused_by_name(cells):
+    floor = lit_room()
+    dense = plane("dense", n=100)
+    for k in range(6):
+        bpy.context.scene.collection.objects.link(bpy.data.objects.new(f"twin {k}", floor.data))
+        bpy.context.scene.collection.objects.link(bpy.data.objects.new(f"dense twin {k}", dense.data))
+    with pytest.raises(
+        Refused, match=r"^dense: 12 copies of shared meshes take 0.00\d+ GB; fewer objects, or --shared skip"
+    ):
+        bake_ours(cells, memory=1e5)
+    with pytest.raises(Refused, match=r"^floor: 1 copies"):  # one of them may keep the mesh where all others stay
+        bake_ours(cells, memory=10, objects=("floor",))
+    assert dense.data.users == 7
 
 
 def test_shared_meshes_can_be_skipped(cells):

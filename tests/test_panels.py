@@ -364,6 +364,16 @@ def test_preflight_names_what_stands_in_the_way(room):
     assert "cube_radiosity" in found["cube"]
     assert "'Radiosity' that no bake made" in found["named"]
     assert look().objects == 4
+    assert look().copies.count == 1
+    assert any(text.startswith("1 shared meshes are copied: 0.0 MB") for text in drawn().texts)
+    room.radiosity.shared = "skip"
+    assert look().copies.count == 0
+    room.radiosity.shared = "copy"
+    scarce = Options(memory=100.0)
+    assert preflight(bpy.context, scarce).problem.startswith("1 copies of shared meshes take 0.0 GB, more than")
+    room.radiosity.target = "lightmap"
+    assert look().copies.count == 0
+    room.radiosity.target = "vertex"
 
     room.radiosity.selected = True
     bpy.ops.object.select_all(action="DESELECT")
