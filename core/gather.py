@@ -18,7 +18,6 @@ from .filter import Filter
 from .kernel import blocks
 from .lights import FLAT, test_rays, unlike, unoccluded
 from .points import pairs
-from .records import to_arrays
 from .sampling import R2, fraction, hemisphere, lattice, scatter, tangents
 from .vectors import counted, ratio
 
@@ -37,6 +36,7 @@ DIM = 0.02  # a point that gets less than this share of its unoccluded light is 
 DIM_TESTS = 16
 
 PARTS = ("direct", "found", "reflected")  # of a point's light
+PLACE = ("position", "normal", "geometric", "neighbor_start", "neighbor")  # what cells need to know of points
 
 REACH = 0.4  # of the filter, in harmonic mean free distances, at 64 gather rays
 CHANCE = 2.0  # times the noise: a change by the filter up to that is taken as noise (undoing less would not pay)
@@ -294,7 +294,7 @@ def light_arrays(points, solution, surfaces, sky):
     if surfaces.translucency.any():
         through = solution.reflected - surfaces.reflectance * solution.irradiance
     return {
-        **to_arrays("points", points),
+        **{f"points.{name}": np.asarray(getattr(points, name), order="C") for name in PLACE},
         "gather.reflected": reflected if reflected.any() else nothing,
         "gather.reflectance": surfaces.reflectance,
         "gather.through": through,

@@ -43,10 +43,10 @@ class Patches:
     element_start: (N + 1,) int32, patch p owns elements element_start[p] to element_start[p + 1].
     element_frame: (M, 3, 3) float64 origin and two edges of each element [m]; element_square: (M,) bool, it is the
     parallelogram over the two edges, not the triangle; element_area: (M,) [m^2].
-    triangle_map: (T, 8) float32 rows (s0, su, sv, t0, tu, tv, -, -): a hit (u, v) lies in column
-    floor(s0 + su u + sv v) and row floor(t0 + tu u + tv v) of its facet's grid.
-    triangle_cell: (T, 3) int32 first cell, columns and rows of that grid. cell_patch: (G,) int32 patch of a cell; of a
-    cell that is cut, -1 - q. cut_plane: (Q, CUTS, 4) planes (normal, offset) that cut it; cut_patch: (Q, 2^CUTS) int32
+    triangle_cell: (T,) int32 first cell of the grid that a triangle lies in, and triangle_map: (T,) int32 the row of
+    maps: (K, 8) float32 that tells its place there, (s0, su, sv, t0, tu, tv, columns, rows): a hit (u, v) lies in column
+    floor(s0 + su u + sv v) and row floor(t0 + tu u + tv v). Row 0 is that of all grids of a single cell.
+    cell_patch: (G,) int32 patch of a cell; of a cell that is cut, -1 - q. cut_plane: (Q, CUTS, 4) planes (normal, offset) that cut it; cut_patch: (Q, 2^CUTS) int32
     patch of each piece, by the planes that it lies in front of (1 for the first, 2 for the second, 4 for the third).
     """
 
@@ -61,12 +61,17 @@ class Patches:
     element_area: np.ndarray
     triangle_map: np.ndarray
     triangle_cell: np.ndarray
+    maps: np.ndarray
     cell_patch: np.ndarray
     cut_plane: np.ndarray
     cut_patch: np.ndarray
 
     def __len__(self):
         return len(self.area)
+
+    def cells_around(self, triangles):
+        """(K,) int64 number of cells of the grids that triangles (K,) lie in."""
+        return self.maps[self.triangle_map[triangles], 6:].astype(np.int64).prod(axis=1)
 
 
 def patch_size(scene, settings):
@@ -102,8 +107,7 @@ def make_patches(scene, edge=None, growth=0.0):
     return Patches(
         **join_elements(patch.reshape(-1), frame, square),
         polygon=facet_polygon[np.searchsorted(first, held, side="right") - 1],
-        triangle_map=_triangle_maps(len(scene.triangles), triangle, grid.place),
-        triangle_cell=_triangle_cells(len(scene.triangles), triangle, first[facet], grid, facet),
+        **_triangle_maps(len(scene.triangles), triangle, facet, grid, first),
         cell_patch=cell_patch,
         cut_plane=np.zeros((0, CUTS, 4)),
         cut_patch=np.zeros((0, 1 << CUTS), np.int32),
@@ -134,14 +138,14 @@ def join_elements(patch, frame, square):
 
 def patch_of_hit(patches, vertices, triangles, triangle, u, v):
     """(K,) int32 patch on which the hits (triangle, u, v) of K rays fell; vertices, triangles: of the scene."""
-    m = np.take(patches.triangle_map, triangle, axis=0)
-    cell = np.take(patches.triangle_cell, triangle, axis=0)
-    column = (m[:, 0] + m[:, 1] * u + m[:, 2] * v).astype(np.int32)
-    row = (m[:, 3] + m[:, 4] * u + m[:, 5] * v).astype(np.int32)
+    m = np.take(patches.maps, np.take(patches.triangle_map, triangle), axis=0)
     # Rounding can carry a hit over the rim of the grid: clamp rather than trust the last bit.
-    np.clip(column, 0, cell[:, 1] - 1, out=column)
-    np.clip(row, 0, cell[:, 2] - 1, out=row)
-    patch = np.take(patches.cell_patch, cell[:, 0] + row * cell[:, 1] + column)
+    column = np.clip(m[:, 0] + m[:, 1] * u + m[:, 2] * v, 0.0, m[:, 6] - 1.0).astype(np.int32)
+    row = np.clip(m[:, 3] + m[:, 4] * u + m[:, 5] * v, 0.0, m[:, 7] - 1.0).astype(np.int32)
+    row *= m[:, 6].astype(np.int32)
+    row += column
+    row += np.take(patches.triangle_cell, triangle)
+    patch = np.take(patches.cell_patch, row)
     if len(patches.cut_patch):
         hit = np.flatnonzero(patch < 0)
         # Up to half of the hits can be here: a coordinate and a plane at a time, which takes a third of the time.
@@ -490,20 +494,19 @@ def _to_world(frame, triangle):
     return np.stack([world[:, 0], world[:, 1] - world[:, 0], world[:, 2] - world[:, 0]], axis=1)
 
 
-def _triangle_maps(count, triangle, place):
-    """(T, 8) affine maps from a triangle's (u, v) to its place in the grid."""
-    maps = np.zeros((count, 8), np.float32)
-    for axis in range(2):
-        p0, p1, p2 = place[:, 0, axis], place[:, 1, axis], place[:, 2, axis]
-        maps[triangle, 3 * axis : 3 * axis + 3] = np.stack([p0, p1 - p0, p2 - p0], axis=1)
-    return maps
-
-
-def _triangle_cells(count, triangle, first, grid, facet):
-    """(T, 3) first cell, columns and rows of each triangle's grid."""
-    cells = np.zeros((count, 3), np.int32)
-    cells[triangle] = np.stack([first, grid.columns[facet], grid.rows[facet]], axis=1)
-    return cells
+def _triangle_maps(count, triangle, facet, grid, first):
+    """The fields of Patches that tell where hits on `count` triangles lie."""
+    cell, row = np.zeros((2, count), np.int32)
+    cell[triangle] = first[facet]
+    laid = np.flatnonzero((grid.columns * grid.rows > 1)[facet])
+    row[triangle[laid]] = 1 + np.arange(len(laid))
+    maps = np.zeros((1 + len(laid), 8), np.float32)
+    maps[0, [0, 3]], maps[:, 6:] = 0.5, 1.0
+    for axis, number in enumerate((grid.columns, grid.rows)):
+        p0, p1, p2 = np.moveaxis(grid.place[laid, :, axis], 1, 0)
+        maps[1:, 3 * axis : 3 * axis + 3] = np.stack([p0, p1 - p0, p2 - p0], axis=1)
+        maps[1:, 6 + axis] = number[facet[laid]]
+    return {"triangle_map": row, "triangle_cell": cell, "maps": maps}
 
 
 def _patch_of_cells(held, first, count):

@@ -215,8 +215,7 @@ def _paint(scene, patches, reflectance, exitance, alpha):
 
 def _spread(scene, patches, triangles):
     """Places spread over triangles (T',), more where they are cut into more patches: triangle (S,), uv (S, 2)."""
-    cells = patches.triangle_cell[triangles, 1] * patches.triangle_cell[triangles, 2]
-    count = SAMPLES * cells
+    count = SAMPLES * patches.cells_around(triangles)
     owner, number = counted(count)
     u = (number + 0.5) / count[owner]
     v = fraction((number + 0.5) * GOLDEN + scatter(triangles, 11)[owner])
