@@ -13,7 +13,7 @@ import numpy as np
 from .raycast import OFFSET, RayCaster
 from .sampling import fraction, hemisphere, lattice, scatter, tangents
 from .surfaces import LARGEST_REFLECTANCE
-from .vectors import dot, length
+from .vectors import dot, length, whole_runs
 
 FARTHEST = 1e15  # coordinates beyond it leave float64 too few digits to be squared, cubed and compared [m]
 FAR = 1e9  # nothing is further from the middle than so many times what half of the scene is
@@ -161,18 +161,31 @@ def _doubles(scene, findings):
         return double
     # What does not depend on where a polygon's corners begin: its middle, and how far they are from it.
     unit = max(scene.diagonal, 1e-300)
-    owner = np.repeat(np.arange(len(size)), size)
-    place = scene.vertices[scene.corner_vertex] - scene.bounds[0]
-    middle = (
-        np.stack([np.bincount(owner, place[:, k], len(size)) for k in range(3)], axis=1) / np.maximum(size, 1)[:, None]
-    )
-    spread = np.bincount(owner, length(place - middle[owner]), len(size)) / np.maximum(size, 1)
-    normal = scene.polygon_normal
-    facts = np.column_stack([middle, spread, np.sqrt(area)]) / unit
-    key = np.column_stack([facts.round(4), size])[polygon]
-    light = np.array([sum(m.exitance) for m in scene.materials])[scene.polygon_material]
-    order = polygon[np.lexsort((-np.nan_to_num(light[polygon]), *key.T))]
-    key = np.column_stack([facts.round(4), size])[order]
+    facts = np.empty((len(size), 5))
+    for part in whole_runs(scene.polygon_start):
+        own, first = size[part], scene.polygon_start[part.start]
+        owner = np.repeat(np.arange(len(own)), own)
+        place = scene.vertices[scene.corner_vertex[first : first + len(owner)]] - scene.bounds[0]
+        middle = np.stack([np.bincount(owner, place[:, k], len(own)) for k in range(3)], axis=1)
+        middle /= np.maximum(own, 1)[:, None]
+        facts[part, :3] = middle
+        facts[part, 3] = np.bincount(owner, length(place - middle[owner]), len(own)) / np.maximum(own, 1)
+    facts[:, 4] = np.sqrt(area)
+    facts /= unit
+    # Few are like others at all: only these are looked at.
+    alike = np.zeros(len(polygon), np.uint64)
+    for k in range(6):
+        values = size[polygon] if k == 5 else np.round(1e4 * facts[polygon, k])
+        alike ^= (scatter(values.astype(np.int64) ^ alike.astype(np.int64), k) * 2.0**53).astype(np.uint64)
+    order = np.argsort(alike, kind="stable")
+    same = alike[order[1:]] == alike[order[:-1]]
+    polygon = np.sort(polygon[order[np.append(same, False) | np.append(False, same)]])
+    if not len(polygon):
+        return double
+    normal, light = scene.polygon_normal, np.array([sum(m.exitance) for m in scene.materials])[scene.polygon_material]
+    key = np.column_stack([np.round(1e4 * facts[polygon]), size[polygon]])
+    rank = np.lexsort((-np.nan_to_num(light[polygon]), *key.T))
+    order, key = polygon[rank], key[rank]
     fresh = np.append(True, (key[1:] != key[:-1]).any(axis=1))
     leader = order[np.flatnonzero(fresh)[np.cumsum(fresh) - 1]]
     same = (np.abs(facts[order] - facts[leader]) < SAME).all(axis=1) & (order != leader)

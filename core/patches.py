@@ -21,7 +21,7 @@ import numpy as np
 from .polygons import clip_polygons
 from .sampling import scatter
 from .scene import LEAST_AREA
-from .vectors import counted, cross, dot, length, unit
+from .vectors import counted, cross, dot, length, runs, unit, whole_runs
 
 CELL = np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)])  # corners of a cell
 SMALL = 0.5  # facets below this share of a patch's edge are clustered
@@ -96,8 +96,10 @@ def make_patches(scene, edge=None, growth=0.0):
     cell = np.concatenate([first[leader[p.facet]] + p.cell for p in pieces])
     frame = np.concatenate([p.frame for p in pieces])
     square = np.concatenate([p.square for p in pieces])
-    solid = length(cross(frame[:, 1], frame[:, 2])) > LEAST_AREA
-    cell, frame, square = cell[solid], frame[solid], square[solid]
+    del pieces
+    solid = np.concatenate([_areas(frame[part]) > LEAST_AREA for part in runs(len(frame))] or [np.zeros(0, bool)])
+    if not solid.all():
+        cell, frame, square = cell[solid], frame[solid], square[solid]
 
     # The cells that hold an element are the patches, in order.
     held, patch = np.unique(cell, return_inverse=True)
@@ -231,10 +233,10 @@ def _lay_grids(scene, triangle, facet, edge, growth):
     grid = _Grid(place, columns, rows, leading, frame)
     if edge is None or not count:
         return grid
-    corners = scene.vertices[scene.triangles[triangle]]
-    size, away = _extents(scene, corners, leading)
+    size, away = _extents(scene, triangle, leading)
     for chosen, part, owner, lay in _kinds(scene, triangle, facet, leading, size > edge):
-        at, span = lay(scene, triangle[part], owner, corners[part], leading[part])
+        corners = scene.vertices[scene.triangles[triangle[part]]]
+        at, span = lay(scene, triangle[part], owner, corners, leading[part])
         cells = _cells_of(span, np.maximum(size, away)[chosen], edge, growth)
         # A sliver thinner than its digits has no frame: what it belongs to stays whole.
         thin = np.bincount(owner, ~(np.abs(_determinant(at)) > THIN)) > 0
@@ -243,7 +245,7 @@ def _lay_grids(scene, triangle, facet, edge, growth):
         broad = ~thin[owner]
         part = part[broad]
         place[part] = (at * cells[owner, None])[broad]
-        frame[part] = _frames(corners[part], place[part])
+        frame[part] = _frames(corners[broad], place[part])
     return grid
 
 
@@ -253,10 +255,10 @@ def count_patches(scene, sizes):
     leading = _changes(facet)
     if not len(triangle):
         return [0.0] * len(sizes)
-    corners = scene.vertices[scene.triangles[triangle]]
-    (size, away), span = _extents(scene, corners, leading), np.zeros((int(leading.sum()), 2))
+    (size, away), span = _extents(scene, triangle, leading), np.zeros((int(leading.sum()), 2))
     for chosen, part, owner, lay in _kinds(scene, triangle, facet, leading, size > min(edge for edge, _ in sizes)):
-        span[chosen] = lay(scene, triangle[part], owner, corners[part], leading[part])[1]
+        corners = scene.vertices[scene.triangles[triangle[part]]]
+        span[chosen] = lay(scene, triangle[part], owner, corners, leading[part])[1]
     area = np.bincount(facet, scene.triangle_normal_area[1][triangle], len(size))
     found = []
     for edge, growth in sizes:
@@ -270,11 +272,20 @@ def _cells_of(span, wide, edge, growth):
     return np.maximum(np.ceil(span / np.maximum(edge, growth * wide)[:, None] - SLACK), 1)
 
 
-def _extents(scene, corners, leading):
+def _extents(scene, triangle, leading):
     """Extents (F,) of facets, and how far (F,) they are from the scene's focus [m]."""
-    low, high = _extent(corners, leading)
-    inner, outer = scene.focus_bounds
+    (low, high), (inner, outer) = _bounds(scene, triangle, leading), scene.focus_bounds
     return length(high - low), length(np.maximum(np.maximum(inner - high, low - outer), 0.0))
+
+
+def _bounds(scene, triangle, leading):
+    """Lowest and highest corners (F, 3) of facets."""
+    start = np.append(np.flatnonzero(leading), len(triangle))
+    low, high = np.empty((2, len(start) - 1, 3))
+    for part in whole_runs(start):
+        mine = slice(start[part.start], start[part.stop])
+        low[part], high[part] = _extent(scene.vertices[scene.triangles[triangle[mine]]], leading[mine])
+    return low, high
 
 
 def _kinds(scene, triangle, facet, leading, large):
@@ -370,23 +381,39 @@ class _Pieces:
     square: np.ndarray
 
 
+def _areas(frame):
+    """(K,) areas of parallelograms with frames (K, 3, 3)."""
+    return length(cross(frame[:, 1], frame[:, 2]))
+
+
 def _uncut(scene, triangle, facet, grid):
     """The elements of facets that are one cell: a parallelogram for a quad that is one, else a triangle each."""
-    mine = (grid.columns * grid.rows)[facet] == 1
-    triangle, facet, leading = triangle[mine], facet[mine], grid.leading[mine]
-    a, b, c = np.moveaxis(scene.vertices[scene.triangles[triangle]], 1, 0)
-    frame, square = np.stack([a, b - a, c - a], axis=1), np.zeros(len(triangle), bool)
+    mine = np.flatnonzero((grid.columns * grid.rows == 1)[facet])
+    leading, polygon = grid.leading[mine], scene.triangle_polygon[triangle[mine]]
+    first = scene.polygon_start[polygon]
 
     # Two triangles of a quad: they fill a parallelogram if the quad's corners do.
-    polygon = scene.triangle_polygon[triangle]
-    pair = np.flatnonzero(leading[:-1] & ~leading[1:] & (np.diff(scene.polygon_start)[polygon[:-1]] == 4))
-    p0, p1, p2, p3 = (scene.vertices[scene.corner_vertex[scene.polygon_start[polygon[pair]] + k]] for k in range(4))
-    gap = np.abs(p0 - p1 + p2 - p3).max(axis=1, initial=0) <= 1e-6 * np.abs(p2 - p0).max(axis=1, initial=0)
-    pair = pair[gap]
-    frame[pair], square[pair] = np.stack([p0, p1 - p0, p3 - p0], axis=1)[gap], True
-    kept = np.ones(len(triangle), bool)
-    kept[pair + 1] = False
-    return _Pieces(facet[kept], np.zeros(kept.sum(), np.int64), frame[kept], square[kept])
+    square = leading & ~np.append(leading, True)[1:]
+    square &= scene.polygon_start[polygon + 1] - first == 4
+    pair = np.flatnonzero(square)
+    for part in runs(len(pair)):
+        p0, p1, p2, p3 = _quads(scene, first[pair[part]])
+        gap = np.abs(p0 - p1 + p2 - p3).max(axis=1) <= 1e-6 * np.abs(p2 - p0).max(axis=1)
+        square[pair[part]] = gap
+    kept = np.flatnonzero(~np.append(False, square)[: len(square)])
+    square, mine, first = square[kept], mine[kept], first[kept]
+    frame = np.empty((len(kept), 3, 3))
+    for part in runs(len(kept)):
+        own = square[part]
+        a, b, c = np.moveaxis(scene.vertices[scene.triangles[triangle[mine[part]]]], 1, 0)
+        a[own], b[own], _, c[own] = _quads(scene, first[part][own])
+        frame[part] = np.stack([a, b - a, c - a], axis=1)
+    return _Pieces(facet[mine], np.zeros(len(kept), np.int64), frame, square)
+
+
+def _quads(scene, first):
+    """Corners of quads, (K, 3) each, by the first one (K,) of each."""
+    return tuple(scene.vertices[scene.corner_vertex[first + k]] for k in range(4))
 
 
 def _clusters(scene, triangle, facet, grid, edge):
@@ -394,8 +421,7 @@ def _clusters(scene, triangle, facet, grid, edge):
     leader = np.arange(len(grid.rows))
     if edge is None or not len(leader):
         return leader
-    corners = scene.vertices[scene.triangles[triangle]]
-    low, high = _extent(corners, grid.leading)
+    low, high = _bounds(scene, triangle, grid.leading)
     small = np.flatnonzero((grid.columns * grid.rows == 1) & (length(high - low) < SMALL * edge))
     first = np.flatnonzero(grid.leading)[small]
     polygon = scene.triangle_polygon[triangle[first]]

@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from .vectors import counted, cross, length, unit
+from .vectors import counted, cross, length, runs, unit, whole_runs
 
 BLACK = (0.0, 0.0, 0.0)
 OUTERMOST = 0.03  # of the vertices, on every side, lie outside of what a bake is about
@@ -189,8 +189,11 @@ class Scene:
     @cached_property
     def triangle_normal_area(self):
         """Unit normals (T, 3) and areas (T,) of the triangles; a degenerate triangle has area 0 and normal 0."""
-        a, b, c = np.moveaxis(self.vertices[self.triangles], 1, 0)
-        return normal_and_area(a, b, c)
+        count = len(self.triangles)
+        normal, area = np.empty((count, 3)), np.empty(count)
+        for part in runs(count):
+            normal[part], area[part] = normal_and_area(*np.moveaxis(self.vertices[self.triangles[part]], 1, 0))
+        return normal, area
 
     @cached_property
     def solid(self):
@@ -307,14 +310,20 @@ def flat_normals(mesh):
 
 def newell_normals(vertices, polygon_start, corner_vertex):
     """(P, 3) unit normals of polygons of any shape; 0 where a polygon has no area."""
+    normal = np.zeros((len(polygon_start) - 1, 3))
+    for part in whole_runs(polygon_start):
+        start = polygon_start[part.start : part.stop + 1]
+        normal[part] = _newell_normals(vertices, start - start[0], corner_vertex[start[0] : start[-1]])
+    return normal
+
+
+def _newell_normals(vertices, polygon_start, corner_vertex):
     size = np.diff(polygon_start)
-    if not len(size):
-        return np.zeros((0, 3))
     corner = np.arange(len(corner_vertex))
     polygon = np.repeat(np.arange(len(size)), size)
     last = corner == polygon_start[1:][polygon] - 1
     following = np.where(last, polygon_start[:-1][polygon], corner + 1)
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
-        origin = vertices[corner_vertex[polygon_start[:-1]]][polygon]
+        origin = vertices[corner_vertex[polygon_start[polygon]]]
         edge = cross(vertices[corner_vertex] - origin, vertices[corner_vertex[following]] - origin)
         return unit(np.stack([np.bincount(polygon, edge[:, k], len(size)) for k in range(3)], axis=1))

@@ -77,6 +77,12 @@ def numbered(rows):
     return number
 
 
+def whole_runs(start):
+    """Slices that cut the owners of start[k] to start[k + 1] of items each, start: (K + 1,), into runs of about so many items."""
+    cut = np.unique(np.searchsorted(start[:-1], np.arange(start[0], max(start[-1], start[0] + 1), RUN)))
+    return [slice(a, b) for a, b in zip(cut, [*cut[1:], len(start) - 1]) if a < b]
+
+
 def ratio(a, b):
     """a / b where b is positive, else 0."""
     return np.divide(a, b, out=np.zeros(np.broadcast_shapes(np.shape(a), np.shape(b))), where=np.asarray(b) > 0)
