@@ -52,7 +52,7 @@ class Points:
     thin: np.ndarray
 
     def __len__(self):
-        return len(self.area)
+        return len(self.position)
 
 
 def make_points(scene, flipped=None, cells=None):
