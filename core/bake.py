@@ -46,6 +46,7 @@ from .state import State, StateError, scene_prints
 from .surfaces import make_surfaces
 
 ROUGH_RAYS = 32  # of a point, to tell where a mesh must be finer
+FINER = 1.5  # times shorter are patches where the usual ones alone keep a bake from its error
 EASED, EASED_FINE = 4.0, 2.0  # times the length of patches where nothing casts a shadow; the latter below 1 % error
 PRICED = (0.1, 0.05, 0.02, 0.01, 0.005)  # errors of the price list
 IN_TIME = 0.9  # of the time that is left is spent on another replicate
@@ -127,13 +128,11 @@ def bake(scene, settings, cells, place=None, group_of=None, state=None):
         state.check(scene, settings, groups)
     try:
         course = _Course(scene, settings, cells, place, groups, state)
-        yield from course.transport()
-        yield from course.pilot()
-        course.price = course.price or course.prices(PRICED)
-        while wanted := course.wanted():
-            course.ask(wanted)
-            yield from course.gather()
-            yield from course.look()
+        yield from course.through()
+        if course.too_coarse():
+            best = course.result()
+            course.refine()
+            yield from _each(course.through(), lambda progress: replace(progress, take=lambda: best))
         yield from course.finish()
         course.clock.lap("gather")
         return course.result()
@@ -193,6 +192,7 @@ class _Course:
         self.solution = self.points = self.side = self.gathering = self.control = self.estimate = self.openness = None
         self._places, self._round, self._solved = None, None, settings.error
         self._bounds, self._doubt, self.price = [], inf, state.price if state else ()
+        self._before = state.seconds if state else {}
         self._gather_seconds, self._gather_rays = 0.0, 0
         self._control_seconds, self._control_rays = 0.0, 0
         self.clock.lap("survey")
@@ -209,6 +209,33 @@ class _Course:
         if known:
             known.agrees(found)
         return found
+
+    def through(self):
+        """The whole path to light with the error asked for, or as near to it as rays at points come."""
+        yield from self.transport()
+        yield from self.pilot()
+        self.price = self.price or self.prices(PRICED)
+        while wanted := self.wanted():
+            self.ask(wanted)
+            yield from self.gather()
+            yield from self.look()
+        self.clock.lap("gather")
+
+    def too_coarse(self):
+        """Whether patches alone keep the bake from its error, where they have the length that is usual for it."""
+        settings, found, error = self.settings, self.estimate, self.settings.error
+        usual = _eased(Settings.for_error(error, per_object=settings.per_object), self.survey)
+        if found is None or self._coarse or self._timed or settings.gather_rays is not None:
+            return False
+        if (settings.patch_edge, settings.graded, settings.rows) != (usual.patch_edge, usual.graded, usual.rows):
+            return False
+        return found.total > error and found.total**2 - found.patches**2 <= error * error
+
+    def refine(self):
+        """Begin anew, with the same points on finer patches."""
+        self.settings = replace(self.settings, patch_edge=self.settings.patch_edge / FINER)
+        self._known = self.solution = self.gathering = self.control = self.estimate = self._round = None
+        self._solved, self._bounds, self._doubt = self.settings.error, [], inf
 
     def lay(self):
         """Patches, and what they do with light."""
@@ -233,6 +260,8 @@ class _Course:
         if surfaces.coverage is not None:
             cells.start({"alpha.coverage": surfaces.coverage[::2]})
         self.patches, self.surfaces, self.sources, self.sky = patches, surfaces, sources, sky
+        if self.points is not None:  # they have been on other patches
+            self.side = sides_of(self.points, cells)
         self.clock.lap("patches")
 
     def transport(self):
@@ -365,8 +394,7 @@ class _Course:
     def _seconds(self):
         """{phase: seconds} spent so far, also by the bake that is carried on; "replicates": on `rays` gather rays."""
         now = {**self.clock.seconds(), "replicates": self._gather_seconds, "rays": self._gather_rays}
-        before = self._known.seconds if self._known else {}
-        return {name: value + before.get(name, 0.0) for name, value in now.items()}
+        return {name: value + self._before.get(name, 0.0) for name, value in now.items()}
 
     def look(self):
         """Find the error as it stands; as much is spent on it as the error asked for needs."""
@@ -561,10 +589,11 @@ class _Course:
         """Make the points, if they are not there."""
         if self._place:
             known, flipped = self._known, self._flipped(self.settings.side)
-            kept = known and known.places
+            kept = known.places if known else self._places
             placing = self._place(self.scene, flipped, self.cells, self._rough_light, kept)
             self.written, self.points, places = yield from placing
-            self.side = sides_of(self.points, self.cells) if kept is None else known.side
+            placed = known and known.places is not None
+            self.side = known.side if placed else sides_of(self.points, self.cells)
             self._places = places
         elif self.points is None:
             self.points, self.side = self._make_points(self.settings.side)

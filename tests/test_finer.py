@@ -1,0 +1,115 @@
+"""Patches that alone keep a bake from its error are made finer, once."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_accuracy import furnished
+
+from cell_radiosity.core.cells import LocalCells
+from cell_radiosity.core.points import make_points
+from cell_radiosity.core.records import to_arrays
+from cell_radiosity.core.state import load_state, save_state
+
+from scenes import Settings, bake, run
+
+ERROR = 0.01
+own_knobs = Settings.for_error.__func__
+
+
+@pytest.fixture(autouse=True)
+def coarse(monkeypatch):
+    """Patches of a quarter of the scene are the usual ones, for any error: a third as long reach 1 % here."""
+    monkeypatch.setattr(
+        Settings,
+        "for_error",
+        classmethod(lambda cls, error, **others: own_knobs(cls, error, **({"patch_edge": 1 / 4} | others))),
+    )
+
+
+def stages(**more):
+    """Progress of a bake, as (patches so far, Progress), and what the bake returns at last."""
+    baking, found, patches = bake(furnished(), Settings.for_error(ERROR), LocalCells(), **more), [], 0
+    while True:
+        try:
+            progress = next(baking)
+        except StopIteration as end:
+            return found, end.value
+        patches += progress.phase == "patches"
+        found.append((patches, progress))
+
+
+def same(a, b):
+    return all(np.array_equal(getattr(a.light, n), getattr(b.light, n)) for n in ("direct", "indirect", "variance"))
+
+
+def test_patches_are_made_finer_once_if_they_alone_keep_the_error_from_being_reached():
+    """The result is that of a bake that began with the finer patches, at the same points, and better than the first."""
+    found, refined = stages()
+    assert [number for number, progress in found if progress.phase == "patches"] == [1, 2]
+    settings = replace(Settings.for_error(ERROR), patch_edge=1 / 6)
+    straight = run(bake(furnished(), settings, LocalCells()))
+    assert refined.settings == settings
+    assert same(refined, straight)
+    assert refined.converged
+    assert refined.estimate.total <= ERROR
+
+
+def test_what_there_is_can_be_taken_meanwhile():
+    """While finer patches are under way it is the light that the others have brought, not the patches' own."""
+    baking, seen = bake(furnished(), Settings.for_error(ERROR), LocalCells()), 0
+    for progress in baking:
+        seen += progress.phase == "patches"
+        if seen == 2:
+            taken = progress.take()
+            break
+    baking.close()
+    assert taken.light.done.all()
+    assert taken.estimate.total > ERROR
+    assert not taken.converged
+
+
+def test_points_that_were_placed_by_the_light_stay():
+    """What places them is asked once more, with what it has kept: it need not look at the light again."""
+    given = []
+
+    def place(scene, flipped, cells, light, kept):
+        given.append(kept)
+        points = make_points(scene, flipped, cells)
+        yield from ()
+        return scene, points, to_arrays("points", points)
+
+    refined = run(bake(furnished(), Settings.for_error(ERROR), LocalCells(), place))
+    assert given[0] is None
+    assert len(given) == 2
+    assert np.array_equal(given[1]["points.position"], refined.points.position)
+    assert same(refined, stages()[1])
+
+
+@pytest.mark.parametrize("attempt", [1, 2])
+@pytest.mark.parametrize("phase", ["patches", "transport", "gather", "error"])
+def test_a_bake_broken_off_before_or_after_goes_on_to_the_same_bits(tmp_path, attempt, phase):
+    expected = stages()[1]
+    baking, seen = bake(furnished(), Settings.for_error(ERROR), LocalCells()), 0
+    for progress in baking:
+        seen += progress.phase == "patches"
+        if seen == attempt and progress.phase == phase:
+            save_state(progress.state(), tmp_path / "s")
+            break
+    baking.close()
+    found, again = stages(state=load_state(tmp_path / "s"))
+    assert same(again, expected)
+    assert again.settings.patch_edge == expected.settings.patch_edge
+    assert again.converged
+    assert max(number for number, _ in found) == 3 - attempt
+
+
+@pytest.mark.parametrize(
+    "asked", [dict(gather_rays=200), dict(patch_edge=1 / 3), dict(graded=False), dict(seconds=0.5), dict(error=0.02)]
+)
+def test_patches_stay_where_they_were_asked_for_or_would_not_help(asked):
+    """Rays or patches set by hand, a time, and an error that is reached."""
+    settings = replace(Settings.for_error(ERROR), **asked)
+    assert run(bake(furnished(), settings, LocalCells())).settings.patch_edge == settings.patch_edge
