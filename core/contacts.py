@@ -35,9 +35,10 @@ def cut_contacts(scene, patches, cells):
         found = cells.take([cells.submit("contacts", ids=part) for part in parts])
         blocker = np.concatenate([np.zeros(0, np.int32), *(result["blocker"] for result in found)])
         crossed = np.flatnonzero(blocker >= 0)
-        patches, ids = _cut(scene, patches, ids[crossed], blocker[crossed])
-        if not len(ids):
+        cut, ids = _cut(scene, patches, ids[crossed], blocker[crossed])
+        if not len(ids):  # nothing was cut
             break
+        patches = cut
         cells.start(to_arrays("patches", patches))
     return patches
 

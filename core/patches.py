@@ -228,7 +228,7 @@ def _lay_grids(scene, triangle, facet, edge, growth):
     """Grids with cells of at most `edge`, see `make_patches`: over quads along their own edges, over others along the longest edge."""
     leading = _changes(facet)
     count = int(leading.sum())
-    place = np.full((len(triangle), 3, 2), 0.5)
+    place = np.zeros((len(triangle), 3, 2))  # as large as the mesh, but memory is taken only where grids are laid
     columns, rows, frame = np.ones(count, np.int64), np.ones(count, np.int64), np.zeros((len(triangle), 3, 3))
     grid = _Grid(place, columns, rows, leading, frame)
     if edge is None or not count:
@@ -438,18 +438,21 @@ def _clusters(scene, triangle, facet, grid, edge):
 
 
 def _filled(facet, grid):
-    """(F,) bool: facets that fill their grid to the rim with cells of one shape, as rectangles do."""
-    a, b = grid.place[:, 1] - grid.place[:, 0], grid.place[:, 2] - grid.place[:, 0]
-    area = np.bincount(facet, np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2, len(grid.rows))
-    first = grid.frame[grid.leading][facet]
+    """(F,) bool: facets of several cells that fill their grid to the rim with cells of one shape, as rectangles do."""
+    cells = grid.columns * grid.rows
+    laid = np.flatnonzero((cells > 1)[facet])
+    facet, leading, place, frame = facet[laid], grid.leading[laid], grid.place[laid], grid.frame[laid]
+    area = np.bincount(facet, np.abs(_determinant(place)) / 2, len(cells))
+    first = frame[leading][np.cumsum(leading) - 1]
     size = np.abs(first[:, 1:]).max(axis=(1, 2))
-    differs = np.abs(grid.frame[:, 1:] - first[:, 1:]).max(axis=(1, 2)) > 1e-6 * size
-    return (area >= grid.columns * grid.rows * (1 - 1e-6)) & (np.bincount(facet, differs, len(grid.rows)) == 0)
+    differs = np.abs(frame[:, 1:] - first[:, 1:]).max(axis=(1, 2)) > 1e-6 * size
+    alike = np.bincount(facet, differs, len(cells)) == 0
+    return (cells > 1) & (area >= cells * (1 - 1e-6)) & alike
 
 
 def _full_cells(facet, grid):
     """The cells of facets that fill their grid, a parallelogram each."""
-    count = np.where((grid.columns * grid.rows > 1) & _filled(facet, grid), grid.columns * grid.rows, 0)
+    count = np.where(_filled(facet, grid), grid.columns * grid.rows, 0)
     owner, cell = counted(count)
     row, column = np.divmod(cell, grid.columns[owner])
     frame = _cell_frames(grid.frame[grid.leading][owner], column, row)
