@@ -329,13 +329,11 @@ def _occlusion(look, two_sided):
         return Effect("occlusion", True, f"{len(look.emitting)} emitting faces can shade one another")
     scale = 1.0 / max(scene.diagonal, 1e-300)
     center = scene.bounds.mean(axis=0)
-    normal = scene.triangle_normal_area[0][look.usable]
-    corner = (scene.vertices[scene.triangles[look.usable]] - center) * scale
-    planes = [(normal, look.usable)] + ([(-normal, look.usable)] if two_sided else [])
-    normal = np.concatenate([n for n, _ in planes])
-    corner = np.concatenate([corner[:, 0]] * len(planes))
-    triangle = np.concatenate([t for _, t in planes])
-    offset = dot(normal, corner)
+    normal, triangle = scene.triangle_normal_area[0][look.usable], look.usable
+    offset = dot(normal, (scene.vertices[scene.triangles[look.usable, 0]] - center) * scale)
+    if two_sided:
+        normal, offset = np.concatenate([normal, -normal]), np.concatenate([offset, -offset])
+        triangle = np.concatenate([triangle, triangle])
     plane, of_face = _planes(normal, offset)
 
     # How far the sources reach above each plane, at least and at most.
@@ -354,11 +352,11 @@ def _occlusion(look, two_sided):
         return Effect("occlusion", False, "no face is turned to a lamp")
     turned = lit[of_face]
     planes, behind = plane[lit], least[lit] < -WELD
-    own = np.unique(scene.triangles[triangle[turned]])
-    everything = np.unique(scene.triangles[look.usable])
+    own = scene.used_vertices(triangle[turned])
     inside = _outlier(scene, look, normal[planes], offset[planes], own, triangle[planes], +1)
     if inside is None and not behind.any():
         return Effect("occlusion", False, f"the faces that lamps reach are convex ({len(planes)} planes), with all lamps in front of them: nothing can cast a shadow")  # fmt: skip
+    everything = scene.used_vertices(look.usable)
     outside = _outlier(scene, look, normal[planes], offset[planes], everything, triangle[planes], -1)
     if outside is None:
         return Effect("occlusion", False, f"everything lies behind the {len(planes)} planes of the faces that lamps reach: nothing can cast a shadow")  # fmt: skip
@@ -372,8 +370,11 @@ def _occlusion(look, two_sided):
 
 def _planes(normal, offset):
     """The first (K,) of the faces that lie in each plane, to a millionth of the scene, and the plane (F,) of each face."""
-    x, y, z = ((normal.T + 1.0) * 1e6).round().astype(np.int64)
-    way = np.unique((x << 42) | (y << 21) | z, return_inverse=True)[1].astype(np.int64).reshape(-1)
+    key = np.zeros(len(normal), np.int64)
+    for axis in range(3):
+        key <<= 21
+        key |= ((normal[:, axis] + 1.0) * 1e6).round().astype(np.int64)
+    way = np.unique(key, return_inverse=True)[1].astype(np.int64).reshape(-1)
     return np.unique((way << 22) + (offset * 1e6).round().astype(np.int64), return_index=True, return_inverse=True)[1:]
 
 
@@ -571,8 +572,8 @@ def _pieces(scene):
     x, y, z = place.astype(np.int64).T
     _, vertex = np.unique((x << 42) | (y << 21) | z, return_inverse=True)
     size = np.diff(scene.polygon_start)
-    corner = vertex.reshape(-1)[scene.corner_vertex]
-    polygon = np.repeat(np.arange(len(size)), size)
+    corner = vertex.reshape(-1).astype(np.int32)[scene.corner_vertex]
+    polygon = np.repeat(np.arange(len(size), dtype=np.int32), size)
     count = int(vertex.max()) + 1
     label = components(corner, count + polygon, count + len(size))[count:]
     return np.unique(label, return_inverse=True)[1].reshape(-1)

@@ -11,8 +11,8 @@ def components(first, second, count):
     first, second: (E,) the nodes at the ends of the edges. Roots are hooked to lower ones and paths halved, so the
     number of rounds grows with the logarithm of the count.
     """
-    root = np.arange(count)
-    first, second = np.asarray(first, np.int64), np.asarray(second, np.int64)
+    root = np.arange(count, dtype=np.int32)
+    first, second = np.asarray(first, np.int32), np.asarray(second, np.int32)
     while len(first):
         a, b = root[first], root[second]
         apart = a != b

@@ -12,8 +12,9 @@ import numpy as np
 
 from .raycast import OFFSET, RayCaster
 from .sampling import fraction, hemisphere, lattice, scatter, tangents
+from .scene import following_corners
 from .surfaces import LARGEST_REFLECTANCE
-from .vectors import dot, length, whole_runs
+from .vectors import dot, length, runs, whole_runs
 
 FARTHEST = 1e15  # coordinates beyond it leave float64 too few digits to be squared, cubed and compared [m]
 FAR = 1e9  # nothing is further from the middle than so many times what half of the scene is
@@ -214,18 +215,16 @@ def _same_corners(scene, first, second, gap):
 
 def _turned(scene):
     """Findings about edges whose two polygons run along them in the same direction: one of them is turned round."""
-    size = np.diff(scene.polygon_start)
-    owner = np.repeat(np.arange(len(size)), size)
-    corner = np.arange(len(owner))
-    last = corner == scene.polygon_start[1:][owner] - 1
-    following = np.where(last, scene.polygon_start[:-1][owner], corner + 1)
-    a, b = scene.corner_vertex[corner].astype(np.int64), scene.corner_vertex[following].astype(np.int64)
-    counts = a != b
-    order = np.argsort((a * len(scene.vertices) + b)[counts], kind="stable")
-    edge = (a * len(scene.vertices) + b)[counts][order]
-    again = np.zeros(len(edge), bool)
-    again[1:] = edge[1:] == edge[:-1]
-    polygon = owner[counts][order]
+    vertex = scene.corner_vertex
+    following = vertex[following_corners(scene.polygon_start)]
+    counts = np.flatnonzero(vertex != following)
+    edge = vertex[counts].astype(np.int64) * len(scene.vertices) + following[counts]
+    ordered = np.sort(edge)
+    if not (ordered[1:] == ordered[:-1]).any():
+        return
+    order = np.argsort(edge, kind="stable")
+    again = np.append(False, ordered[1:] == ordered[:-1])
+    polygon = np.searchsorted(scene.polygon_start, counts[order], side="right") - 1
     twice = np.bincount(scene.polygon_object[polygon[again]], minlength=len(scene.objects))
     for o in np.flatnonzero(twice):
         yield Finding(
@@ -241,10 +240,11 @@ def _tiny(scene):
     if not len(triangle):
         return
     owner = scene.polygon_object[scene.triangle_polygon[triangle]]
-    corners = scene.vertices[scene.triangles[triangle]]
     low, high = np.full((len(scene.objects), 3), np.inf), np.full((len(scene.objects), 3), -np.inf)
-    np.minimum.at(low, owner, corners.min(axis=1))
-    np.maximum.at(high, owner, corners.max(axis=1))
+    for part in runs(len(triangle)):
+        corners = scene.vertices[scene.triangles[triangle[part]]]
+        np.minimum.at(low, owner[part], corners.min(axis=1))
+        np.maximum.at(high, owner[part], corners.max(axis=1))
     seen = np.unique(owner)
     size = length(high[seen] - low[seen])
     gap = OFFSET * scene.diagonal

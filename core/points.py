@@ -13,6 +13,7 @@ import numpy as np
 
 from .raycast import OFFSET
 from .sampling import morton_order
+from .scene import following_corners
 from .vectors import counted, dot, length, runs, unit
 
 SAME_NORMAL = 0.99984769515639127  # cosine of one degree
@@ -310,7 +311,7 @@ def _smooth(scene, face_normal):
         own = vertex[part]
         flat[own[dot(face_normal[polygon[part]], mean[own]) < BENT]] = False
     del polygon, mean
-    following = vertex[_following(scene.polygon_start)]
+    following = vertex[following_corners(scene.polygon_start)]
     edge = np.minimum(vertex, following).astype(np.int64) * count + np.maximum(vertex, following)
     edge.sort()
     fresh = np.append(True, edge[1:] != edge[:-1])
@@ -320,19 +321,11 @@ def _smooth(scene, face_normal):
     return flat
 
 
-def _following(polygon_start):
-    """(C,) int32 the corner that follows each corner in its polygon."""
-    following = np.arange(1, polygon_start[-1] + 1, dtype=np.int32)
-    full = polygon_start[1:] > polygon_start[:-1]
-    following[polygon_start[1:][full] - 1] = polygon_start[:-1][full]
-    return following
-
-
 def _neighbors(scene, corner, point, count):
     """Where each point's neighbors start (P + 1,), and the neighbors (E,): points at the other ends of polygons' edges."""
     of_corner = np.full(len(scene.corner_vertex), -1, np.int32)
     of_corner[corner] = point
-    following = of_corner[_following(scene.polygon_start)[corner]]
+    following = of_corner[following_corners(scene.polygon_start)[corner]]
     key = np.minimum(point, following).astype(np.int64) * count + np.maximum(point, following)
     key = _once(key[point != following])
     here, there = np.divmod(key, max(count, 1))

@@ -202,6 +202,13 @@ class Scene:
         with np.errstate(invalid="ignore", over="ignore"):
             return finite & (self.triangle_normal_area[1] > LEAST_AREA)
 
+    def used_vertices(self, triangles):
+        """(K,) the vertices of triangles, by their numbers or a (T,) bool, in order."""
+        used = np.zeros(len(self.vertices), bool)
+        for column in range(3):
+            used[self.triangles[triangles, column]] = True
+        return np.flatnonzero(used)
+
     @cached_property
     def usable(self):
         """(T,) bool: the triangles that take part, solid ones of polygons that do not lie on others."""
@@ -210,7 +217,7 @@ class Scene:
     @cached_property
     def bounds(self):
         """Lowest and highest corner of the solid geometry, (2, 3); zeros if there is none."""
-        used = self.vertices[np.unique(self.triangles[self.solid])]
+        used = self.vertices[self.used_vertices(self.solid)]
         return np.stack([used.min(axis=0), used.max(axis=0)]) if len(used) else np.zeros((2, 3))
 
     @cached_property
@@ -218,7 +225,7 @@ class Scene:
         """Lowest and highest corner (2, 3) of what a bake is about: of the written objects' vertices but for the outermost
         3 % on every side. A wide ground with few vertices does not count, a fine one does."""
         mine = self.usable & self.written[self.polygon_object[self.triangle_polygon]]
-        used = self.vertices[np.unique(self.triangles[mine if mine.any() else self.usable])]
+        used = self.vertices[self.used_vertices(mine if mine.any() else self.usable)]
         if not len(used):
             return np.zeros((2, 3))
         cut = int(OUTERMOST * len(used))
@@ -300,6 +307,14 @@ def join_meshes(meshes, materials=(Material(),), lamps=(), world=World(), writte
         name=name,
         **notes,
     )
+
+
+def following_corners(polygon_start):
+    """(C,) int32 the corner that follows each corner in its polygon."""
+    following = np.arange(1, polygon_start[-1] + 1, dtype=np.int32)
+    full = polygon_start[1:] > polygon_start[:-1]
+    following[polygon_start[1:][full] - 1] = polygon_start[:-1][full]
+    return following
 
 
 def flat_normals(mesh):
