@@ -23,7 +23,11 @@ def main(argv):
     # Blender swallows Ctrl-C otherwise; who is told to end keeps what is finished, too.
     previous = {kind: signal.signal(kind, signal.default_int_handler) for kind in (signal.SIGINT, signal.SIGTERM)}
     try:
-        arguments = _parser().parse_args(argv)
+        parser = _parser()
+        for text in argv:
+            if text.startswith("--") and text.endswith("=--"):  # argparse would take it for an empty list
+                parser.error(f"argument {text[:-3]}: '--' is not a value")
+        arguments = parser.parse_args(argv)
         return arguments.run(arguments)
     except SystemExit as end:
         return end.code if isinstance(end.code, int) else 2

@@ -18,6 +18,7 @@ from .errors import Usage
 from .files import context_of
 from .job import check_scene, default_cells, wanted_by
 from .plots import check_plot, plot_cells
+from .progress import say
 from .read_scene import read_scene
 from .scene_command import add_scene_file, exit_code, open_scene
 
@@ -69,14 +70,13 @@ def run_cells(arguments):
         for run in experiment(scene, settings, arguments.schedule, counts, replays, joined, copies):
             runs.append(run)
             if not arguments.quiet:
-                text = f"{run.schedule}, {run.cells} cells, {run.kind}: {run.seconds:.2f} s"
-                print(text, file=sys.stderr, flush=True)
+                say(f"{run.schedule}, {run.cells} cells, {run.kind}: {run.seconds:.2f} s", to=sys.stderr)
     if replayed:
-        print(f"replayed for {replayed} output points: what is done at one of {own} counts {copies} times")
-    print(table(runs), flush=True)
+        say(f"replayed for {replayed} output points: what is done at one of {own} counts {copies} times")
+    say(*table(runs).splitlines())
     law = law_of(scene, settings)
     aimed = convergence(scene, settings) if "dynamic" in arguments.schedule else None
-    print(convergence_table(runs, law, aimed), flush=True)
+    say(*convergence_table(runs, law, aimed).splitlines())
     if arguments.report:
         write_json(as_dictionary(source, runs, law, aimed, replayed), os.path.abspath(arguments.report))
     if arguments.plot:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-from contextlib import suppress
 from dataclasses import replace
 from math import inf
 
@@ -21,7 +20,7 @@ from .errors import Refused, told
 from .files import context_of
 from .job import check_scene, wanted_by
 from .plots import check_plot, knob_value, plot_price
-from .progress import Bar
+from .progress import Bar, say
 from .read_scene import read_scene
 from .scene_command import add_scene_file, exit_code, open_scene
 
@@ -69,10 +68,10 @@ def run_price(arguments):
             rows, off = _measured(scene, options, prices, cells, reference, bar)
             if arguments.plot:
                 knobs = _turned(scene, settings, cells, off, bar)
-    print("\n".join(lines(rows)), flush=True)
+    say(*lines(rows))
     if arguments.plot:
         falls = slope(_pairs(rows))
-        print("\n".join(knob_lines(knobs, falls)), flush=True)
+        say(*knob_lines(knobs, falls))
         plot_price(rows, knobs, falls, os.path.abspath(arguments.plot), os.path.basename(source))
     if arguments.report:
         write_json({"scene": source, "price": rows, "knobs": knobs, "slope": falls}, os.path.abspath(arguments.report))
@@ -147,9 +146,8 @@ def _measured(scene, options, prices, cells, reference, bar):
 
 def _announce(errors, more):
     """Say how many bakes are to come."""
-    with suppress(OSError):
-        turned = f", and {more} to turn each knob alone" if more else ""
-        print(f"{errors} bakes to measure{turned}", file=sys.stderr, flush=True)
+    turned = f", and {more} to turn each knob alone" if more else ""
+    say(f"{errors} bakes to measure{turned}", to=sys.stderr)
 
 
 def _turned(scene, settings, cells, off, bar):

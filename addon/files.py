@@ -74,7 +74,7 @@ def open_file(path):
         with silent():
             bpy.ops.wm.open_mainfile(filepath=path)
     except RuntimeError as error:
-        raise Refused(" ".join(str(error).replace("Error:", "").split())) from None
+        raise Refused(f"Blender cannot open it: {' '.join(str(error).replace('Error:', '').split())}") from None
 
 
 def context_of(arguments):
@@ -85,6 +85,10 @@ def context_of(arguments):
             names = ", ".join(s.name for s in bpy.data.scenes)
             raise Refused(f"there is no scene {arguments.scene!r}; there are {names}")
         context.window.scene = bpy.data.scenes[arguments.scene]
+    for object in context.view_layer.objects:
+        if object.mode != "OBJECT":  # as the file was saved; its mesh is elsewhere until then
+            with context.temp_override(active_object=object, object=object):
+                bpy.ops.object.mode_set(mode="OBJECT")
     if arguments.frame is not None:
         context.scene.frame_set(arguments.frame)
     return context

@@ -94,7 +94,8 @@ def _multiplier(light, name, ignored):
         output = tree.get_output_node("CYCLES")
         links = output.inputs["Surface"].links if output else ()
         node = links[0].from_node if links else None
-        if node is not None and node.type == "EMISSION" and not any(i.is_linked for i in node.inputs):
+        muted = node is not None and (node.mute or links[0].is_muted)
+        if node is not None and node.type == "EMISSION" and not muted and not any(i.is_linked for i in node.inputs):
             factor *= np.array(node.inputs["Color"].default_value[:3]) * node.inputs["Strength"].default_value
         elif node is not None:
             ignored.append((name, "the light's nodes: only a constant Emission is simulated"))

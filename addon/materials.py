@@ -90,6 +90,7 @@ def read_material(material, object, ignored):
     output = tree.get_output_node("CYCLES") if tree else None
     if output is None:
         return viewport_material(material), None, None
+    check_plain(tree)
     graph = Graph()
     surface = _shader(_shown_socket(output, tree), graph)
     if output.inputs["Volume"].is_linked:
@@ -119,13 +120,21 @@ def read_material(material, object, ignored):
 
 def read_alpha(material, object, ignored):
     """Alpha of a Blender material whose color must be baked to be known: the constant, and the Picture or None."""
-    output = node_tree(material).get_output_node("CYCLES")
-    graph = Graph()
+    tree = node_tree(material)
+    output, graph = tree.get_output_node("CYCLES"), Graph()
     try:
+        check_plain(tree)
         return _shown_alpha(output.inputs["Surface"], graph), graph.cut
     except NotConstant as problem:
-        ignored.append((object, f"{material.name}: its alpha varies ({problem}): it is taken as opaque"))
+        if any(map(_may_pass, tree.nodes)):
+            ignored.append((object, f"{material.name}: its alpha varies ({problem}): it is taken as opaque"))
         return 1.0, None
+
+
+def _may_pass(node):
+    """Whether a node may let rays pass."""
+    alpha = node.inputs["Alpha"] if node.type == "BSDF_PRINCIPLED" else None
+    return node.type == "BSDF_TRANSPARENT" or bool(alpha and (alpha.is_linked or alpha.default_value < 1.0))
 
 
 def _shown_alpha(socket, graph):
@@ -205,6 +214,14 @@ def node_tree(data):
     if bpy.app.version >= (5, 0, 0) and not isinstance(data, bpy.types.Light):
         return data.node_tree
     return data.node_tree if data.use_nodes else None
+
+
+def check_plain(tree):
+    """Raise NotConstant if a tree's links are not all followed: what is muted or in a circle is Cycles' to understand."""
+    if any(node.mute for node in tree.nodes) or any(link.is_muted for link in tree.links):
+        raise NotConstant("muted nodes or links")
+    if not all(link.is_valid for link in tree.links):
+        raise NotConstant("links in a circle")
 
 
 def viewport_material(material):

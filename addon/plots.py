@@ -132,8 +132,7 @@ def plot_price(rows, knobs, falls, path, title):
     )
     if measured:
         draw(measured, color=COLORS["dynamic"], marker="s", ms=5, lw=1.6, label="errors asked for, measured")
-    for k in turned[:1]:
-        chosen = next(k for k in turned if k["chosen"])
+    for chosen in [k for k in turned if k["chosen"]][:1]:
         draw(
             [(chosen["seconds"], chosen["error"])],
             color="0.15",

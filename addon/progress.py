@@ -41,13 +41,13 @@ class Bar:
                 self._bar.set_description_str(progress_text(progress))
             elif not self._quiet and (progress.phase != self._phase or monotonic() - self._shown > PAUSE):
                 self._shown, self._phase = monotonic(), progress.phase
-                print(f"{100 * progress.done:3.0f} %  {progress_text(progress)}", file=sys.stderr, flush=True)
+                say(f"{100 * progress.done:3.0f} %  {progress_text(progress)}", to=sys.stderr)
 
 
-def say(text):
-    """Print a line about what was done."""
+def say(*lines, to=None):
+    """Print lines about what was done, or what is being done (to: sys.stderr)."""
     with suppress(OSError):
-        print(one_line(text), flush=True)
+        print("\n".join(map(one_line, lines)), file=to, flush=True)
 
 
 def progress_text(progress):

@@ -28,6 +28,8 @@ from .steps import aside
 from .world_read import read_world
 
 NOT_WRITTEN = "its light was not written"
+LEFT_OUT = {"CURVES": "hair", "VOLUME": "a volume", "POINTCLOUD": "a point cloud", "GREASEPENCIL": "a drawing"}
+LEFT_OUT["GPENCIL"] = LEFT_OUT["GREASEPENCIL"]  # in older Blenders
 SOLID = {"MESH", "CURVE", "SURFACE", "META", "FONT"}
 
 
@@ -109,6 +111,8 @@ def _place(depsgraph, rendered, reader, wanted, lamps, placed, deadline):
         source = instance.parent.original if instance.is_instance and instance.parent else original
         if original.hide_render or source.name not in rendered or is_made(original) or not instance.show_self:
             continue
+        if object.type in LEFT_OUT:
+            reader.ignored.append((original.name, f"it is {LEFT_OUT[object.type]}: it is left out"))
         if object.type in SOLID | {"LIGHT"} and not read_visibility(original, reader.ignored):
             continue
         matrix = np.array(instance.matrix_world, float)  # newer Blenders would give float32
@@ -326,19 +330,23 @@ class _Reader:
                 read = replace(read, alpha=alpha)
                 self.unread.add(number)
             if texture is not None:
-                read = replace(read, texture=self._texture(texture))
+                read = replace(read, texture=self._texture(texture, object))
             if cut is not None:
-                read = replace(read, alpha_texture=self._texture(cut))
+                read = replace(read, alpha_texture=self._texture(cut, object))
             if texture or cut:
                 self._uv_maps[number] = (texture or cut).uv_map
             self.materials.append(read)
         return self._numbers[key]
 
-    def _texture(self, picture):
-        """Number of a Picture among the textures read."""
+    def _texture(self, picture, object):
+        """Number of a Picture among the textures read. object: name of one that shows it."""
         key = (picture.image.name_full, picture.part, picture.inverted)
         if key not in self._images:
             self._images[key] = len(self.textures)
+            if not all(picture.image.size):
+                text = f"its image {picture.image.name} cannot be read: {picture.image.filepath or 'no file'}"
+                finding = Finding(object, text, "magenta was taken in its place, as Cycles does")
+                self.health += [] if finding in self.health else [finding]
             self.textures.append(Texture(picture.image.name, read_pixels(picture)))
         return self._images[key]
 

@@ -8,8 +8,9 @@ from functools import wraps
 
 import bpy
 
-from .errors import Usage, one_line, told
+from .errors import Usage, told
 from .files import check_outputs, open_file
+from .progress import say
 
 NO_SCENE = "no scene: name a .blend file"
 
@@ -52,8 +53,8 @@ def exit_code(command):
 
 def complain(problem, source=""):
     """Say in one line on stderr why a command failed, or what went wrong with a file."""
-    source = f"{one_line(source)}: " if source else ""
-    print(f"radiosity: {source}{told(problem)}", file=sys.stderr, flush=True)
+    source = f"{source}: " if source else ""
+    say(f"radiosity: {source}{told(problem)}", to=sys.stderr)
 
 
 def _named(arguments):

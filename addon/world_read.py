@@ -15,7 +15,7 @@ import numpy as np
 from ..core.scene import Lamp, World
 from ..core.sky import cell_directions, solid_angles
 from .cycles_read import CannotRead, one_sample_scene
-from .materials import NotConstant, node_color, node_tree, node_value
+from .materials import NotConstant, check_plain, node_color, node_tree, node_value
 
 SIZE = 256  # cells of a side of the map
 PER_CELL = 2  # samples of a cell along each of its sides
@@ -39,6 +39,7 @@ def read_world(context, world, ignored):
     if not links:
         return World(), ()
     try:
+        check_plain(tree)
         return World(tuple(_background(links[0].from_node))), ()
     except NotConstant:
         pass

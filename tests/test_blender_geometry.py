@@ -105,6 +105,18 @@ def test_what_is_hidden_takes_no_part():
     assert named == {"no viewport", "eye closed"}  # these would be rendered; the others are meant to be left out
 
 
+def test_objects_of_which_there_is_no_surface_are_named():
+    empty()
+    plane("seen")
+    kinds = {"hair": bpy.data.hair_curves, "cloud": bpy.data.pointclouds, "smoke": bpy.data.volumes}
+    for name, all_of_a_kind in kinds.items():
+        bpy.context.scene.collection.objects.link(bpy.data.objects.new(name, all_of_a_kind.new(name)))
+    bpy.data.objects["cloud"].hide_render = True
+    scene = read()
+    assert scene.objects == ("seen",)
+    assert scene.ignored == (("hair", "it is hair: it is left out"), ("smoke", "it is a volume: it is left out"))
+
+
 def test_modifiers_that_keep_the_polygons_are_written_to_the_mesh(cells):
     floor = lit_room()
     modifier = floor.modifiers.new("wave", "SIMPLE_DEFORM")

@@ -128,6 +128,19 @@ def test_light_nodes_multiply(cells):
     np.testing.assert_allclose(found, 3 * 50 / (4 * np.pi) / HEIGHT**2 / np.pi, rtol=1e-4)
 
 
+def test_light_nodes_that_are_muted_are_named():
+    empty()
+    plane(size=1.0, n=2)
+    data = lamp("POINT", 50.0, location=(0, 0, HEIGHT)).data
+    data.use_nodes = True
+    data.node_tree.nodes["Emission"].inputs["Strength"].default_value = 3.0
+    data.node_tree.nodes["Emission"].mute = True
+    bpy.context.view_layer.update()
+    ((name, reason),) = read_scene(bpy.context)[0].ignored
+    assert name == "POINT"
+    assert "the light's nodes" in reason
+
+
 def test_emitting_face_shines_from_both_sides(cells):
     """Exitance is pi times color times strength, on either side."""
     empty()

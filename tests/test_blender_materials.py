@@ -117,6 +117,49 @@ def test_mix_of_shaders():
     np.testing.assert_allclose(emitted, cycles_says("EMIT", ()), rtol=0.01)
 
 
+@pytest.mark.parametrize("how", ["node", "link", "shader", "circle", "reroutes in a circle"])
+def test_what_is_muted_or_in_a_circle_is_what_cycles_makes_of_it(how):
+    empty()
+    made = diffuse("odd", (0.2, 0.4, 0.6))
+    tree = made.node_tree
+    shader = next(n for n in tree.nodes if n.type == "BSDF_DIFFUSE")
+    if how == "shader":
+        shader.mute = True
+    elif how in ("node", "link"):
+        mix = tree.nodes.new("ShaderNodeInvert" if how == "node" else "ShaderNodeRGB")
+        if how == "node":
+            mix.inputs["Color"].default_value = (0.7, 0.3, 0.1, 1.0)
+            mix.mute = True
+        link = tree.links.new(mix.outputs[0], shader.inputs["Color"])
+        link.is_muted = how == "link"
+    else:
+        kind, entry = ("NodeReroute", 0) if how.startswith("reroutes") else ("ShaderNodeInvert", "Color")
+        one, other = (tree.nodes.new(kind) for _ in range(2))
+        tree.links.new(one.outputs[0], other.inputs[entry])
+        tree.links.new(other.outputs[0], one.inputs[entry])
+        tree.links.new(one.outputs[0], shader.inputs["Color"])
+    plane("plane", material=made)
+    bpy.context.view_layer.update()
+    np.testing.assert_allclose(we_say()[0], cycles_says("DIFFUSE"), atol=0.01)
+    assert we_say()[2] == ()
+
+
+def test_an_image_that_cannot_be_read_is_named():
+    empty()
+    made = diffuse("odd", (0.2, 0.4, 0.6))
+    node = made.node_tree.nodes.new("ShaderNodeTexImage")
+    node.image = bpy.data.images.new("gone", 4, 4)
+    node.image.source, node.image.filepath = "FILE", "//gone.png"
+    shader = next(n for n in made.node_tree.nodes if n.type == "BSDF_DIFFUSE")
+    made.node_tree.links.new(node.outputs["Color"], shader.inputs["Color"])
+    add_uv(plane("plane", material=made))
+    bpy.context.view_layer.update()
+    (finding,) = read_scene(bpy.context)[0].health
+    assert finding.object == "plane"
+    assert finding.finding == "its image gone cannot be read: //gone.png"
+    np.testing.assert_allclose(we_say()[0], cycles_says("DIFFUSE"), atol=0.01)
+
+
 def gradient_image():
     image = bpy.data.images.new("gradient", 64, 64)
     pixels = np.ones((64, 64, 4), np.float32)

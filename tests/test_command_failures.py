@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import shutil
@@ -19,6 +20,7 @@ from cell_radiosity.addon import command_bake, picture  # noqa: E402
 from cell_radiosity.addon.command import main  # noqa: E402
 from cell_radiosity.addon.errors import Refused, told  # noqa: E402
 from cell_radiosity.addon.job import Job  # noqa: E402
+from cell_radiosity.addon.plots import plot_price  # noqa: E402
 from cell_radiosity.core.cells import LocalCells  # noqa: E402
 
 from blender_scenes import bake_ours, colors, empty, lamp, plane  # noqa: E402
@@ -341,6 +343,47 @@ def test_light_beyond_what_blender_can_hold_is_cut_off(scene, capfd):
     bpy.ops.wm.open_mainfile(filepath=str(out))
     assert np.isfinite(colors(bpy.data.objects["floor"].data, "Radiosity")).all()
     assert main(["relight", str(state), "-o", str(out), "--set", "POINT=1e300", "--quiet"]) == 2
+
+
+def test_files_that_were_saved_in_edit_mode(scene):
+    """Blender opens them so: the mesh is elsewhere until the mode is left."""
+    for name in ("floor", "wall"):
+        bpy.data.objects[name].select_set(True)
+    bpy.context.view_layer.objects.active = bpy.data.objects["floor"]
+    bpy.ops.object.mode_set(mode="EDIT")
+    out = saved(scene).with_name("out.blend")
+    assert main(["bake", str(scene), "-o", str(out), "--quiet"]) == 0
+    bpy.ops.wm.open_mainfile(filepath=str(out))
+    for name in ("floor", "wall"):
+        assert colors(bpy.data.objects[name].data, "Radiosity").mean() > 0
+
+
+def test_an_option_of_two_dashes_is_no_value(scene, capfd):
+    assert main(["bake", str(scene), "--size=--", "--quiet"]) == 2
+    assert "argument --size: " in capfd.readouterr().err
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")
+@pytest.mark.parametrize("command", ["price", "effects"])
+def test_reports_are_written_where_nobody_reads(scene, command, monkeypatch):
+    report = scene.with_name("r.json")
+    with open("/dev/full", "w") as full:
+        monkeypatch.setattr(sys, "stdout", full)
+        assert main([command, str(scene), "--report", str(report)]) == 0
+        monkeypatch.undo()
+        with contextlib.suppress(OSError):
+            full.close()
+    assert json.loads(report.read_text())
+
+
+def test_a_plot_of_bakes_that_are_not_off_at_all(tmp_path):
+    """On a scale of powers there is no place for them."""
+    pytest.importorskip("matplotlib")
+    row = dict(error=0.1, seconds_predicted=1.0, seconds_measured=1.0, error_measured=0.05)
+    knobs = [dict(knob="bounces", value=None, chosen=True, seconds=1.0, error=0.0, patches=1, rays=1),
+             dict(knob="bounces", value=1, chosen=False, seconds=0.5, error=0.2, patches=1, rays=1)]  # fmt: skip
+    plot_price([row], knobs, None, str(tmp_path / "p.svg"), "room")
+    assert (tmp_path / "p.svg").read_text().rstrip().endswith("</svg>")
 
 
 @pytest.mark.parametrize("name", ["plot", "plot.blend", "plot.xyz"])
