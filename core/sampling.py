@@ -73,7 +73,7 @@ def hemisphere(u, v):
 
 def tangents(normals):
     """Two unit vectors (..., 3) that make a right-handed frame with unit normals (..., 3) (Duff et al. 2017)."""
-    x, y, z = np.moveaxis(normals, -1, 0)
+    x, y, z = (normals[..., k] for k in range(3))
     sign = np.where(z >= 0, 1.0, -1.0)
     a = -1.0 / (sign + z)
     b = x * y * a
