@@ -60,6 +60,7 @@ def run_price(arguments):
     settings = options.settings(scene)
     knobs, falls = [], None
     with cells_for(arguments, arguments.cells) as cells, Bar(quiet=arguments.quiet) as bar:
+        _await(cells)
         prices = run(price(scene, settings, cells, arguments.errors), bar.show)
         rows = [price_row(p) for p in prices]
         if arguments.measure or reference is not None:
@@ -142,6 +143,11 @@ def _measured(scene, options, prices, cells, reference, bar):
             raise Refused("the reference does not fit: it is of another scene, or another kind of file") from None
 
     return [price_row(p, _seconds(found), off(found)) for p, found in zip(prices, baked)], off
+
+
+def _await(cells):
+    """Wait until cells run: a price is of such."""
+    cells.take([cells.submit("wait", seconds=0.0, sizes=np.zeros(0, int)) for _ in range(cells.count)])
 
 
 def _announce(errors, more):

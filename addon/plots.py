@@ -100,6 +100,8 @@ def plot_price(rows, knobs, falls, path, title):
     """Error against seconds: foretold and measured, what each knob does alone, the cheapest of all that was baked, and how
     steeply the error falls. rows, knobs: as the report has them; falls: the power of the seconds, or None."""
     plt = pyplot()
+    from matplotlib.patheffects import withStroke
+
     figure, axis = plt.subplots(figsize=(8.2, 4.8) if knobs else (6.2, 4.2))
 
     def draw(points, **style):
@@ -108,6 +110,7 @@ def plot_price(rows, knobs, falls, path, title):
     foretold = [(r["seconds_predicted"], r["error"]) for r in rows]
     measured = [(r["seconds_measured"], r["error_measured"]) for r in rows if r["error_measured"]]
     turned = [k for k in knobs if k["error"]]
+    outline = withStroke(linewidth=3, foreground="white")  # words stay legible on lines
     best = frontier([*measured, *((k["seconds"], k["error"]) for k in turned)])
     if best:
         draw(best, color="0.85", lw=7, solid_capstyle="round", zorder=0, label="cheapest of all that was baked")
@@ -118,7 +121,10 @@ def plot_price(rows, knobs, falls, path, title):
         draw([(k["seconds"], k["error"]) for k in own], color=color, marker="o", ms=3.5, lw=1, label=f"{name} alone")
         for k, off, side in ((own[0], -5, "right"), (own[-1], 5, "left")):
             if not k["chosen"]:
-                place, style = (k["seconds"], 100 * k["error"]), dict(fontsize=7, color=color, ha=side, va="center")
+                place, style = (
+                    (k["seconds"], 100 * k["error"]),
+                    dict(fontsize=8, color=color, ha=side, va="center", path_effects=[outline], zorder=5),
+                )
                 axis.annotate(knob_value(k), place, (off, 0), textcoords="offset points", **style)
     draw(
         foretold,
