@@ -17,13 +17,13 @@ def is_made(thing):
 
 def mark_layers(mesh, names):
     """Note on a mesh which of its attributes bakes have written."""
-    mesh[KEY] = ",".join(sorted(set(names) | made_layers(mesh)))
+    mesh[KEY] = "\n".join(sorted(set(names) | made_layers(mesh)))
 
 
 def made_layers(mesh):
     """Names of a mesh's attributes that bakes have written."""
     text = mesh.get(KEY, "")
-    return set(text.split(",")) - {""} if isinstance(text, str) else set()
+    return set(text.split("\n")) - {""} if isinstance(text, str) else set()
 
 
 def unmark_layers(mesh):

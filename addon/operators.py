@@ -93,7 +93,7 @@ class _Work(_Idle):
         self._begin(context)
         job = Job(context, self._options(context), cells=Session.warm_cells(preference("cells")), read=False)
         self._running = Session.running = Running(job, self._work, self._expected(context, job.options))
-        self._scene = context.scene.name
+        self._scene = context.scene.session_uid
         self._steps = self._all(context)
         self._timer = context.window_manager.event_timer_add(TICK, window=context.window)
         context.window_manager.modal_handler_add(self)
@@ -143,6 +143,9 @@ class _Work(_Idle):
         yield from self._wait(context)
         if running.cancelled and running.waiting:
             return "CANCELLED"
+        if self._gone():
+            self.report({"WARNING"}, tr("The scene that was baked was removed: there is nothing to write to"))
+            return "CANCELLED"
         running.phase, running.waiting = "write", ""
         return (yield from in_steps(self._finish(context, job, running.partial), STEP))
 
@@ -176,11 +179,15 @@ class _Work(_Idle):
 
     def _hindrance(self, context):
         """Why the light cannot be written now, or ""."""
-        if context.scene.name != self._scene and self._scene in bpy.data.scenes:
+        if context.scene.session_uid != self._scene and not self._gone():
             return "Go back to the scene that was baked to see the result"
         if context.mode != "OBJECT":
             return "Go to Object Mode to see the result"
         return ""
+
+    def _gone(self):
+        """Whether the scene that was read has been removed."""
+        return all(scene.session_uid != self._scene for scene in bpy.data.scenes)
 
     def _tell(self, context):
         """Bring the status bar and the panels up to date."""
@@ -235,7 +242,7 @@ class RADIOSITY_OT_bake(_Work, bpy.types.Operator):
                 continue
             running.want_light()
             preview = running.take_light()
-            if preview is None or self._hindrance(context):
+            if preview is None or self._hindrance(context) or self._gone():
                 continue
             spent = 0.0
             painting = in_steps(self._paint(context, preview), STEP)

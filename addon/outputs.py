@@ -7,6 +7,7 @@ the light (`compute`), both without touching Blender, and puts them into the fil
 from __future__ import annotations
 
 from dataclasses import replace
+from hashlib import blake2b
 
 import bpy
 import numpy as np
@@ -31,7 +32,9 @@ from .write_result import (
     Copies,
     check_names,
     copies_of_shared,
+    copy_names,
     copy_with,
+    object_of,
     result_copies,
     source_mesh,
     srgb,
@@ -42,6 +45,7 @@ from .write_result import (
 UV_MAP = "Lightmap"
 EXPOSURE = "cell_radiosity_exposure"  # property of a mesh or image: the light was multiplied by 2 to this
 MOST_UV_MAPS = 8
+LONGEST = 62  # bytes of a layer's name: Blender takes 67, and 8-bit copies are called longer
 TEXEL_BYTES, PIXEL_BYTES = 700, 100  # that a texel with surface takes in host and cells, and a pixel of an image
 
 
@@ -104,7 +108,7 @@ class VertexColors:
         if self.options.bytes:
             copies = result_copies(context.scene)
             for target in targets:
-                for object in (context.scene.objects.get(target.object), copies.get(target.object)):
+                for object in (object_of(context.scene, target), copies.get(target.object)):
                     if object is not None:
                         object.data[EXPOSURE] = self.exposure
         return findings
@@ -138,7 +142,7 @@ class FinerColors(VertexColors):
 
     def writing(self, context, targets):
         """Write, in steps; returns Findings."""
-        findings, fits = [], []
+        findings, fits, formers = [], [], copy_names(context.scene)
         for target in targets:
             yield
             with source_mesh(context, target) as source:
@@ -147,13 +151,13 @@ class FinerColors(VertexColors):
                     continue
                 piece = piece_of(self._coarse, self.remesh, target)
                 mesh = make_mesh(source, source.name, piece)
-                object = context.scene.objects[target.object]
+                object = object_of(context.scene, target)
                 groups = groups_of(object)
                 if self.options.in_place:
                     findings += self._replace_mesh(object, mesh)
                     holder = object
                 else:
-                    holder = copy_with(context.scene, target.object, mesh)
+                    holder = copy_with(context.scene, target, mesh, formers.get(target.object))
                 carry_groups(holder, groups, source, piece)
             fits.append(replace(target, object=holder.name, first=0, last=len(piece.index), corner=piece.index))
         for fit in fits:
@@ -285,7 +289,7 @@ class Lightmaps:
 
     def writing(self, context, targets):
         """Write images and copies, in steps; returns Findings."""
-        images, copies = {}, []
+        images, copies, formers = {}, [], copy_names(context.scene)
         output = self.options.output or bpy.data.filepath
         for layer, pictures in self.images.items():
             for number, name in enumerate(self.atlas.names):
@@ -305,7 +309,7 @@ class Lightmaps:
                 if isinstance(source, Finding):
                     findings.append(source)
                     continue
-                copy = self._copy(context.scene, target, source, remesh)
+                copy = self._copy(context.scene, target, source, remesh, formers.get(target.object))
             number = self._image_of(target)
             if number is not None:
                 show(copy, (images[next(iter(self.images)), number], self.name))
@@ -320,13 +324,14 @@ class Lightmaps:
         )
         return int(self.atlas.image[triangles[0]]) if len(triangles) else None
 
-    def _copy(self, scene, target, source, remesh):
-        """The copy of a target's object that holds its lightmap's UV map. source: its mesh as it is rendered."""
+    def _copy(self, scene, target, source, remesh, former):
+        """The copy of a target's object that holds its lightmap's UV map. source: its mesh as it is rendered; former: name of the
+        copy that it replaces, or None."""
         if remesh is None:
-            return copy_with(scene, target.object, source.copy())
+            return copy_with(scene, target, source.copy(), former)
         piece = piece_of(self.scene, remesh, target)
-        copy = copy_with(scene, target.object, make_mesh(source, source.name, piece))
-        carry_groups(copy, groups_of(scene.objects[target.object]), source, piece)
+        copy = copy_with(scene, target, make_mesh(source, source.name, piece), former)
+        carry_groups(copy, groups_of(object_of(scene, target)), source, piece)
         uv = np.zeros((len(self.scene.triangles), 3, 2))
         uv[self.atlas.triangle] = self.atlas.uv
         uv = uv[np.argsort(self.scene.triangle_polygon, kind="stable")].reshape(-1, 2)[piece.index]
@@ -341,7 +346,15 @@ def layers_of(options, groups):
     if groups is None:
         return whole
     lit = [layer for layer in options.layers if layer not in PLAIN]
-    return whole + [(f"{layer}_{name}", layer, g) for layer in lit for g, name in enumerate(groups.names)]
+    return whole + [(layer_of_group(layer, name), layer, g) for layer in lit for g, name in enumerate(groups.names)]
+
+
+def layer_of_group(layer, group):
+    """Name of a layer for the light of one group, shortened if it is longer than Blender takes."""
+    name = f"{layer}_{group}".encode()
+    if len(name) <= LONGEST:
+        return name.decode()
+    return f"{name[: LONGEST - 5].decode(errors='ignore')}~{blake2b(name, digest_size=2).hexdigest()}"
 
 
 def found_layers(options, bake):

@@ -37,11 +37,12 @@ SOLID = {"MESH", "CURVE", "SURFACE", "META", "FONT"}
 class Target:
     """Where the light of one object of the scene goes.
 
-    object: name of the Blender object. first, last: its corners in the scene, first to last. corner: (last - first,)
+    object: name of the Blender object as it was read; uid: Blender's number for it, whatever it is called. first, last: its corners in the scene, first to last. corner: (last - first,)
     number of each of them in the evaluated mesh. same: the evaluated mesh has the corners of the object's own mesh.
     """
 
     object: str
+    uid: int
     first: int
     last: int
     corner: np.ndarray
@@ -84,7 +85,9 @@ def _reading(context, wanted, shared, spacing, step):
     users = Counter(o.data for o in bpy.data.objects if o.type == "MESH") if shared == "skip" else Counter()
     written = [p.own and _writable(p.original, users, reader.health) for p in placed]
     targets = tuple(
-        Target(p.original.name, corner[k], corner[k + 1], p.order, p.shape.same_as(p.original.data))
+        Target(
+            p.original.name, p.original.session_uid, corner[k], corner[k + 1], p.order, p.shape.same_as(p.original.data)
+        )
         for k, p in enumerate(placed)
         if written[k]
     )

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..core.layers import LAYERS, PLAIN
 from .marks import made_layers
-from .outputs import EXPOSURE, coded
+from .outputs import EXPOSURE, coded, layer_of_group
 from .viewport import baked_meshes
 
 LIT = tuple(layer for layer in LAYERS if layer not in PLAIN)
@@ -24,7 +24,7 @@ def relight(scene, factors):
             continue
         made = made_layers(mesh)
         for layer in LIT:
-            parts = {f"{layer}_{group}": factor for group, factor in factors.items()}
+            parts = {layer_of_group(layer, group): factor for group, factor in factors.items()}
             if made.issuperset((layer, *parts)) and all(name in mesh.color_attributes for name in (layer, *parts)):
                 _write_sum(mesh, layer, parts)
         mesh.update()

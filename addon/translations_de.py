@@ -21,6 +21,7 @@ GERMAN = {
     "About {} s left": "Noch etwa {} s",
     "Cancel": "Abbrechen",
     "{} objects, {} face corners": "{} Objekte, {} Flächenecken",
+    "The scene that was baked was removed: there is nothing to write to": "Die gebackene Szene wurde entfernt: es gibt nichts, wohin geschrieben werden kann",
     "{} shared meshes are copied: {} MB": "{} geteilte Meshes werden kopiert: {} MB",
     "{} copies of shared meshes take {} GB, more than the {} GB that may be used: write to fewer objects, or skip shared meshes": "{} Kopien geteilter Meshes brauchen {} GB, mehr als die {} GB, die genommen werden dürfen: weniger Objekte beschreiben oder geteilte Meshes auslassen",
     "Before the bake: {} notes": "Vor dem Backen: {} Hinweise",

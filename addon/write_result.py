@@ -51,7 +51,7 @@ def writing_result(context, colors, targets, domain, encoded=(), channel=None):
     values), to be written into an attribute that is there.
     """
     findings = []
-    copies = {name: copy.name for name, copy in result_copies(context.scene).items()}  # once: thousands of objects, too
+    copies = copy_names(context.scene)
     for target in targets:
         yield
         mesh = _place(context, target, copies.get(target.object))
@@ -103,9 +103,22 @@ def _size(mesh):
     return own + 4 * len(mesh.polygons) + 12 * keys * len(mesh.vertices)
 
 
+def object_of(scene, target):
+    """A target's object, whatever it is called by now; None if it is no longer in the scene."""
+    named = scene.objects.get(target.object)
+    if named is not None and named.session_uid == target.uid:
+        return named
+    return next((object for object in scene.objects if object.session_uid == target.uid), None)
+
+
 def result_copies(scene):
     """{name of an object: copy in a scene that holds its result, the first of several}."""
     return {o[f"{KEY}_of"]: o for o in reversed(scene.objects[:]) if is_made(o) and f"{KEY}_of" in o}
+
+
+def copy_names(scene):
+    """{name of an object: name of its result copy}: what there is before anything is written."""
+    return {name: copy.name for name, copy in result_copies(scene).items()}
 
 
 def result_copy(scene, name):
@@ -126,7 +139,7 @@ def remove_copy(scene, copy):
 def source_mesh(context, target):
     """The mesh of an object as it is rendered, whose corners are the target's, for a while; a Finding if the object is
     not what was read."""
-    object = context.scene.objects.get(target.object)
+    object = object_of(context.scene, target)
     if object is None:
         yield Finding(target.object, "it was deleted during the bake", "its light was dropped")
         return
@@ -139,9 +152,9 @@ def source_mesh(context, target):
             bpy.data.meshes.remove(mesh)
 
 
-def copy_with(scene, name, mesh):
-    """A marked copy of the object of a name with a mesh of its own, in place of it and of any older copy."""
-    return _result_copy(scene, scene.objects[name], mesh, result_copy(scene, name))
+def copy_with(scene, target, mesh, former):
+    """A marked copy of a target's object with a mesh of its own, in place of it and of its former copy (a name, or None)."""
+    return _result_copy(scene, object_of(scene, target), mesh, scene.objects.get(former) if former else None)
 
 
 def _changed(target):
@@ -152,7 +165,7 @@ def _place(context, target, copy_name):
     """The mesh that takes a target's light, made if need be; a Finding if the object is not what was read. copy_name: of the
     copy that holds its last result, or None."""
     scene = context.scene
-    object = scene.objects.get(target.object)
+    object = object_of(scene, target)
     if object is None:
         return Finding(target.object, "it was deleted during the bake", "its light was dropped")
     copy = scene.objects.get(copy_name) if copy_name else None

@@ -7,7 +7,9 @@ import pytest
 
 bpy = pytest.importorskip("bpy")
 from cell_radiosity.addon.errors import Refused  # noqa: E402
+from cell_radiosity.addon.job import Job, Options  # noqa: E402
 from cell_radiosity.addon.read_scene import read_scene  # noqa: E402
+from cell_radiosity.core.bake import run  # noqa: E402
 
 from blender_scenes import bake_ours, colors, cube, diffuse, empty, lamp, mesh_object, plane  # noqa: E402
 
@@ -160,6 +162,32 @@ def test_shared_meshes_get_a_copy_each(cells):
     assert report["memory_mb"] == pytest.approx((12 * vertices + 8 * edges + 4 * faces + 8 * corners) / 1e6, rel=0.3)
     assert bake_ours(cells).report("")["copies"] == {"meshes": 0, "memory_mb": 0}  # each has its own now
     assert colors(floor.data, "Lighting").mean() > 2 * colors(twin.data, "Lighting").mean()
+
+
+@pytest.mark.parametrize(
+    "how", [{}, {"mesh": "subdivide"}, {"target": "lightmap"}], ids=["vertices", "finer", "lightmap"]
+)
+def test_objects_renamed_during_a_bake_get_their_own_light(cells, how):
+    """Two that take each other's names, too; one that takes a deleted one's name gets nothing of it."""
+    lit_room()
+    bpy.data.objects["floor"].data.materials.append(diffuse("black", (0.01, 0.01, 0.01)))
+    cube("gone", location=(0.5, 0.5, 0.5), size=0.3)
+    job = Job(bpy.context, Options(error=0.1, **how), cells=cells)
+    run(job.bake())
+    floor, wall = bpy.data.objects["floor"], bpy.data.objects["wall"]
+    bpy.data.objects.remove(bpy.data.objects["gone"])
+    floor.name, wall.name = "other", "floor"
+    floor.name = "wall"
+    cube("gone", location=(0.5, 0.5, 0.5), size=0.3)
+    job.write(bpy.context)
+    assert [f.object for f in job.changed] == ["gone"]
+    if how.get("target") == "lightmap":
+        assert {"wall_radiosity", "floor_radiosity"} <= set(bpy.data.objects.keys())
+        assert len(bpy.data.objects["wall_radiosity"].data.vertices) >= len(floor.data.vertices)
+        return
+    ends = {o.name: bpy.data.objects.get(f"{o.name}_radiosity", o).data for o in (floor, wall)}
+    assert colors(ends["wall"], "Radiosity").max() < 0.05 * colors(ends["wall"], "Lighting").max()  # the black one
+    assert colors(ends["floor"], "Radiosity").max() > 0.5 * colors(ends["floor"], "Lighting").max()
 
 
 def test_copies_that_memory_cannot_hold_are_refused_by_name(cells):

@@ -489,6 +489,26 @@ def test_lights_of_finer_meshes_and_of_vertex_colors_are_changed_too(room):
     assert not settings.result.groups
 
 
+@pytest.mark.parametrize("name", ["A lamp, with a comma", "L" * 63, "Ö" * 31])
+def test_groups_may_have_any_name(room, name):
+    """Their layers are replaced by the next bake, and are found by the sliders, though Blender does not take so long a name."""
+    bpy.data.objects["POINT"].name = name
+    lamp("SUN", 1.0).name = name[:-1]
+    room.radiosity.groups, room.radiosity.bytes = "lamp", True
+    bpy.ops.radiosity.bake()
+    mesh = bpy.data.objects["plane"].data
+    names = {a.name for a in mesh.color_attributes}
+    assert len(names) == 12
+    bpy.ops.radiosity.bake()
+    assert {a.name for a in mesh.color_attributes} == names
+    before = colors(mesh, "Lighting")
+    for group in room.radiosity.result.groups:
+        group.strength = 2.0
+    np.testing.assert_allclose(colors(mesh, "Lighting"), 2 * before, rtol=1e-5)
+    bpy.ops.radiosity.clear()
+    assert not mesh.color_attributes
+
+
 def links(material):
     """What a material's node tree is, in comparable form."""
     tree = material.node_tree

@@ -160,6 +160,22 @@ def test_objects_deleted_and_edited_during_a_bake_are_named(hall):
     assert hall.ask(f"answer = {LAYERS}") == ["Lighting", "Radiosity"]
 
 
+def test_a_renamed_object_gets_its_light_and_a_removed_scene_ends_a_bake(hall):
+    hall.until(FIRST_LIGHT)
+    hall.ask("bpy.data.objects['floor'].name = 'ground'")
+    hall.press("Escape")
+    hall.until(IDLE)
+    assert hall.ask(f"answer = len({SETTINGS}.result.health)") == 0
+    assert "Lighting" in hall.ask("answer = [a.name for a in bpy.data.objects['ground'].data.color_attributes]")
+    hall.ask("bpy.data.scenes.new('other')")
+    hall.ask(PRESS_BAKE)
+    hall.until(f"{SESSION}.running.phase == 'work'")
+    hall.ask("old = bpy.context.scene; window.scene = bpy.data.scenes['other']; bpy.data.scenes.remove(old)")
+    hall.press("Escape")
+    hall.until(IDLE)
+    assert hall.ask(f"answer = {SETTINGS}.result.points") == -1
+
+
 def test_an_edit_during_a_bake_makes_its_prices_old(hall):
     hall.until(f"{SESSION}.running.light_error is not None")
     hall.ask("next(o for o in bpy.context.scene.objects if o.type == 'MESH').location.x += 0.1")
