@@ -192,8 +192,9 @@ class _Work(_Idle):
     def _tell(self, context):
         """Bring the status bar and the panels up to date."""
         self._told = perf_counter()
-        text = phase_text(self._running)
-        context.workspace.status_text_set(f"Radiosity: {text}   [Esc] {tr(self.keeps)}")
+        waiting = self._running.waiting
+        text = tr(waiting) if waiting else f"{phase_text(self._running)}   [Esc] {tr(self.keeps)}"
+        context.workspace.status_text_set(f"Radiosity: {text}")
         redraw(context)
 
     def _end(self, context, result):

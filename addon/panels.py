@@ -81,7 +81,7 @@ def _draw_running(layout, running):
         figures.label(text=tr("Error so far: {} %", f"{100 * running.light_error:.2g}"))
     if running.bound is not None:
         figures.label(text=tr("Light still missing: at most {} %", f"{100 * running.bound:.2g}"))
-    if running.left is not None:
+    if running.left is not None and not running.waiting:
         figures.label(text=tr("About {} s left", f"{running.left:.0f}"))
 
 

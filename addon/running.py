@@ -115,6 +115,8 @@ class Running:
 def phase_text(running):
     """What is being done, and how far it is."""
     progress = running.progress
+    if running.waiting:
+        return tr("Waiting")
     if running.phase == "write":
         return tr("Writing")
     if progress is None:

@@ -112,8 +112,9 @@ def _before_load(*_):
 
 @persistent
 def _after_load(*_):
-    with Session.write(bpy.context):  # that all of a file is new is no change of it
+    with Session.write(bpy.context):  # that all of a file is new is no change of it ...
         pass
+    Session.edits += 1  # ... but nothing that was looked up in another file holds here
 
 
 @persistent

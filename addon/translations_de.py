@@ -14,6 +14,7 @@ GERMAN = {
     "Light between patches": "Licht zwischen den Flächen",
     "Light at the points": "Licht an den Punkten",
     "Looking at the error": "Der Fehler wird geschätzt",
+    "Waiting": "Wartet",
     "Writing": "Wird geschrieben",
     "{} s so far, {} million rays": "bisher {} s, {} Millionen Strahlen",
     "Light still missing: at most {} %": "Noch fehlendes Licht: höchstens {} %",

@@ -342,6 +342,10 @@ def test_while_it_runs_the_panel_shows_how_far_it_is(room, monkeypatch):
         assert any(part in text for text in texts), part
     running.progress = Progress("gather", 0.4, 4.0, left=7.0)
     assert any("About 7 s left" in text for text in drawn().texts)
+    running.waiting = "Go to Object Mode to see the result"
+    texts = drawn().texts
+    assert texts[0] == "Waiting"
+    assert not any("left" in text for text in texts)
 
 
 def test_preflight_names_what_stands_in_the_way(room):
@@ -387,6 +391,18 @@ def test_preflight_names_what_stands_in_the_way(room):
     room.world.node_tree.nodes.clear()
     room.world = None
     assert look().problem.startswith("Nothing gives light")
+
+
+def test_another_file_is_looked_at_anew(room, tmp_path):
+    """Also if its scene is called the same, and neither file was saved."""
+    path = str(tmp_path / "room.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=path, copy=True)
+    bpy.ops.wm.read_homefile(use_empty=True)
+    assert preflight(bpy.context, Options()).problem == "There is no mesh to bake"
+    bpy.ops.wm.read_homefile()
+    assert preflight(bpy.context, Options()).objects == 1  # the cube of every new file
+    bpy.ops.wm.open_mainfile(filepath=path)
+    assert preflight(bpy.context, Options()).objects == 2
 
 
 def test_layers_are_shown_and_exposed_and_cleared(room):
