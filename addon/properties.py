@@ -194,7 +194,7 @@ class RADIOSITY_PG_settings(bpy.types.PropertyGroup):
     )  # fmt: skip
     layers: EnumProperty(
         name="Layers",
-        description="Color attributes to write, linear and unbounded",
+        description="What to write, linear and unbounded; Shift-click to choose several",
         items=[
             ("Radiosity", "Radiosity", "What the eye sees: emitted and reflected light"),
             ("Lighting", "Lighting", "The light that arrives, without the surface's own color"),

@@ -56,7 +56,7 @@ GERMAN = {
     "How long a bake may take, in seconds, reading and writing left out; the error is as small as that allows": "Wie lange ein Backen dauern darf, in Sekunden, ohne Lesen und Schreiben; der Fehler wird so klein, wie das zulässt",
     "Relative error of the light to reach, root mean square over the surface, in percent": "Relativer Fehler des Lichts, der erreicht werden soll, im quadratischen Mittel über die Oberfläche, in Prozent",
     "Layers": "Ebenen",
-    "Color attributes to write, linear and unbounded": "Farbattribute, die geschrieben werden, linear und unbegrenzt",
+    "What to write, linear and unbounded; Shift-click to choose several": "Was geschrieben wird, linear und unbegrenzt; mehrere mit Umschalt-Klick",
     "What the eye sees: emitted and reflected light": "Was das Auge sieht: ausgesandtes und zurückgeworfenes Licht",
     "Lighting": "Beleuchtung",
     "The light that arrives, without the surface's own color": "Das Licht, das ankommt, ohne die Farbe der Oberfläche",

@@ -1,4 +1,5 @@
-"""Take the README's pictures of the extension in Blender's window: before, during and after a bake of the hall.
+"""Take the README's pictures of the extension in Blender's window: before, during and after a bake of the hall, and with
+the lights of the sunlit room changed.
 
 BLENDER in the environment names the program; the zip is in dist/. Needs Xvfb, xdotool and import, as the window's tests do.
 """
@@ -62,6 +63,17 @@ def main():
             window.until(f"{SESSION}.running is None", wait=300)
             time.sleep(8)  # until the report in the status bar has gone
             keep(window, "after")
+            window.open(ROOT / "sample_scenes" / "sunlit_room.blend")
+            choose(window, "error", 1.0)
+            window.ask("s.groups = 'lamp'")
+            time.sleep(1)
+            window.click(*window.find_button())
+            window.until(f"{SESSION}.running is not None")
+            window.until(f"{SESSION}.running is None", wait=300)
+            window.ask("sun, sky = s.result.groups; sun.strength, sky.strength, sky.color = 0.15, 2.5, (0.5, 0.7, 1.0)")
+            window.scroll()
+            time.sleep(8)
+            keep(window, "lights")
         finally:
             window.close()
 
