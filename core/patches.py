@@ -199,10 +199,10 @@ def _facets(scene):
     """
     triangle = np.flatnonzero(scene.usable)
     polygon = scene.triangle_polygon[triangle]
-    normal = scene.triangle_normal_area[0][triangle]
-    whole = scene.polygon_normal[polygon]
     bent = np.zeros(len(scene.polygon_material), bool)
-    bent[polygon[dot(normal, whole) < FLAT]] = True
+    for part in runs(len(triangle)):
+        whole = scene.polygon_normal[polygon[part]]
+        bent[polygon[part][dot(scene.triangle_normal_area[0][triangle[part]], whole) < FLAT]] = True
     key = np.where(bent[polygon], len(bent) + np.arange(len(triangle)), polygon)
     order = np.argsort(key, kind="stable")
     return triangle[order], np.cumsum(_changes(key[order])) - 1
@@ -274,18 +274,20 @@ def _cells_of(span, wide, edge, growth):
 
 def _extents(scene, triangle, leading):
     """Extents (F,) of facets, and how far (F,) they are from the scene's focus [m]."""
-    (low, high), (inner, outer) = _bounds(scene, triangle, leading), scene.focus_bounds
-    return length(high - low), length(np.maximum(np.maximum(inner - high, low - outer), 0.0))
+    size, away = np.empty((2, np.count_nonzero(leading)))
+    inner, outer = scene.focus_bounds
+    for part, low, high in _boxes(scene, triangle, leading):
+        size[part] = length(high - low)
+        away[part] = length(np.maximum(np.maximum(inner - high, low - outer), 0.0))
+    return size, away
 
 
-def _bounds(scene, triangle, leading):
-    """Lowest and highest corners (F, 3) of facets."""
+def _boxes(scene, triangle, leading):
+    """Lowest and highest corners (K, 3) of facets, a run (slice) of them after the other."""
     start = np.append(np.flatnonzero(leading), len(triangle))
-    low, high = np.empty((2, len(start) - 1, 3))
     for part in whole_runs(start):
         mine = slice(start[part.start], start[part.stop])
-        low[part], high[part] = _extent(scene.vertices[scene.triangles[triangle[mine]]], leading[mine])
-    return low, high
+        yield part, *_extent(scene.vertices[scene.triangles[triangle[mine]]], leading[mine])
 
 
 def _kinds(scene, triangle, facet, leading, large):
@@ -421,12 +423,16 @@ def _clusters(scene, triangle, facet, grid, edge):
     leader = np.arange(len(grid.rows))
     if edge is None or not len(leader):
         return leader
-    low, high = _bounds(scene, triangle, grid.leading)
-    small = np.flatnonzero((grid.columns * grid.rows == 1) & (length(high - low) < SMALL * edge))
+    whole, small, middle = grid.columns * grid.rows == 1, [], []
+    for part, low, high in _boxes(scene, triangle, grid.leading):
+        mine = np.flatnonzero(whole[part] & (length(high - low) < SMALL * edge))
+        small.append(part.start + mine)
+        middle.append((low + high)[mine] / 2)
+    small, middle = np.concatenate(small), np.concatenate(middle)
     first = np.flatnonzero(grid.leading)[small]
     polygon = scene.triangle_polygon[triangle[first]]
     normal = scene.triangle_normal_area[0][triangle[first]]
-    place = np.floor(((low + high)[small] / 2 - scene.bounds[0]) / (CLUSTER * edge))
+    place = np.floor((middle - scene.bounds[0]) / (CLUSTER * edge))
     alike = [*place.T, *np.round(normal * TURNS).T, scene.polygon_object[polygon], scene.polygon_material[polygon]]
     key = np.zeros(len(small), np.uint64)
     for number, part in enumerate(alike):
