@@ -323,15 +323,17 @@ def test_rays(sources, s, caster, position, normal, geometric, start, a, b):
     if not level:
         weight = np.where(dot(toward, by_coordinate(geometric)) > 0, weight, 0.0)
     cast = np.flatnonzero(weight)
-    start, a, toward = np.take(start, cast, axis=0), np.take(a, cast), take(toward, cast)
+    if len(cast) < len(weight):
+        start, a, toward = np.take(start, cast, axis=0), np.take(a, cast), take(toward, cast)
+        aim = None if endless else take(aim, cast)
     if endless:
         blocked = caster.blocked_toward(start, toward.astype(np.float32), a)
     elif sources.kind[s] == FLAT:
         # Aim at a place just above the face, on the side that is seen: the face does not block itself.
         up = np.multiply.outer(sources.direction[s], np.sign(-dot(toward, sources.direction[s]))).T
-        blocked = caster.blocked(start, caster.start(take(aim, cast), up), a)
+        blocked = caster.blocked(start, caster.start(aim, up), a)
     else:
-        blocked = caster.blocked(start, caster.place(take(aim, cast)), a, reach=SHORT)
+        blocked = caster.blocked(start, caster.place(aim), a, reach=SHORT)
     seen = weight.copy()
     seen[cast[blocked]] = 0.0
     caster.note(_effect(sources.origin[s]), begun)
@@ -452,9 +454,9 @@ def _facing_disk(center, toward, radius):
 def _on_polygon(corners, a, b):
     """(..., 3) places spread evenly over a convex polygon by a, b (...) in [0, 1)."""
     e1, e2 = corners[1:-1] - corners[0], corners[2:] - corners[0]
-    area = length(cross(e1, e2))
     if len(corners) == 4 and np.abs(e1[0] + corners[3] - corners[2]).max() <= 1e-9 * np.abs(e2[0]).max():
         return from_coordinates(*(c + a * x + b * y for c, x, y in zip(corners[0], e1[0], e2[1])))
+    area = length(cross(e1, e2))
     upper = np.cumsum(area)
     target = a * upper[-1]
     triangle = np.minimum(np.searchsorted(upper, target, side="right"), len(area) - 1)
