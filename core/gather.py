@@ -194,6 +194,9 @@ class Gathering:
         done = rays > 0
         if not done.any():
             return self._start
+        start = self._start
+        if done.all():
+            start = self._start = None  # nothing is shown of it any more
         links = self.gathered.links & np.repeat(done, np.diff(self.points.neighbor_start)) & done[self.points.neighbor]
         nearness = sum(r.rays * r.nearness.astype(float) for r in replicates)
         reach = REACH * np.sqrt(np.sqrt(ratio(64.0, rays))) * diagonal * ratio(rays, nearness)
@@ -212,11 +215,9 @@ class Gathering:
             np.maximum(light[-1], 0.0, out=light[-1])
         found, reflected = light
         found += self._mean("direct")
-        if done.all():
-            self._start = None  # nothing is shown of it any more
-        else:
-            np.copyto(found, self._start.direct, where=~done)
-            np.copyto(reflected, self._start.indirect, where=~done)
+        if start:
+            np.copyto(found, start.direct, where=~done)
+            np.copyto(reflected, start.indirect, where=~done)
         return Light(found, reflected, variance, blurred, done)
 
     def _trust(self, filter):
@@ -352,9 +353,12 @@ def sides_of(points, cells):
 
 def patch_light(side, solution):
     """The Light at points as the patch sides (P,) they lie on have it: what there is before anything is gathered."""
-    direct, none = solution.direct[:, side], np.zeros(len(side))
-    indirect = solution.irradiance[:, side] - direct
-    return Light(direct, indirect, np.zeros_like(direct), none, none > 0)
+    direct = solution.direct[:, side]
+    indirect = solution.irradiance[:, side]
+    indirect -= direct
+    nothing = np.zeros(1)  # for all points
+    unknown = np.broadcast_to(nothing, direct.shape)
+    return Light(direct, indirect, unknown, unknown[0], np.zeros(len(side), bool))
 
 
 def _mean(light, rays, above):

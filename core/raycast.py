@@ -29,9 +29,12 @@ class RayCaster:
 
     def __init__(self, vertices, triangles, usable, alpha=None):
         self._alpha = alpha
-        self._triangle = np.flatnonzero(usable).astype(np.int32)
-        used = np.unique(triangles[usable])
-        self._all = len(self._triangle) == len(triangles)
+        self._empty = not usable.any()
+        used = np.zeros(len(vertices), bool)
+        used[triangles[usable]] = True
+        used = np.flatnonzero(used)
+        # The numbers of those that are there, if some are not.
+        self._triangle = None if usable.all() else np.flatnonzero(usable).astype(np.int32)
         low, high = (vertices[used].min(axis=0), vertices[used].max(axis=0)) if len(used) else (np.zeros(3), np.ones(3))
         diagonal = float(np.sqrt(((high - low) ** 2).sum()))
         self.frame = ((low + high) / 2, 1.0 / diagonal if diagonal > 0 else 1.0)
@@ -66,7 +69,7 @@ class RayCaster:
         Returns triangle (K,) int32, -1 where the ray escaped; u, v (K,) float32 place in the triangle; distance (K,)
         float32 in scene diagonals; back (K,) bool, the ray met the triangle's back side.
         """
-        if not len(self._triangle):
+        if self._empty:
             none = np.zeros(len(origins), np.float32)
             return np.full(len(origins), -1, np.int32), none, none, none, np.zeros(len(origins), bool)
         found = self._first(origins, directions)
@@ -93,7 +96,7 @@ class RayCaster:
 
     def _stopped(self, origins, directions, key, **options):
         """(K,) bool: whether rays are stopped by something that they do not pass."""
-        if not len(self._triangle):
+        if self._empty:
             return np.zeros(len(origins), bool)
         if self._alpha is None:
             return self._run(origins, directions, query="OCCLUDED", **options) >= 0
@@ -112,7 +115,7 @@ class RayCaster:
         facing += normal[:, 1] * directions[:, 1]
         facing += normal[:, 2] * directions[:, 2]
         triangle = hit["primID"]
-        if not self._all:
+        if self._triangle is not None:
             triangle = np.where(triangle < 0, -1, np.take(self._triangle, triangle))
         return triangle, hit["u"], hit["v"], hit["tfar"], facing > 0
 
