@@ -57,10 +57,22 @@ def scale_of(image):
     return float(image.get("scale", 1.0))
 
 
+def file_names(names):
+    """What stands for each of some names in the names of files: no two alike, whatever their case."""
+    found = {}
+    for name in names:
+        stem = clean = bpy.path.clean_name(name)
+        number = 1
+        while clean.casefold() in found:
+            number += 1
+            clean = f"{stem}_{number}"
+        found[clean.casefold()] = clean
+    return list(found.values())
+
+
 def image_path(output, of, layer, kind="exr"):
-    """The file of a layer's lightmap beside OUT.blend: OUT_OBJECT_LAYER.exr."""
-    stem = os.path.splitext(output)[0]
-    return f"{stem}_{bpy.path.clean_name(of)}_{layer}{SUFFIX[kind]}"
+    """The file of a layer's lightmap beside OUT.blend: OUT_OBJECT_LAYER.exr. of: as `file_names` has it."""
+    return f"{os.path.splitext(output)[0]}_{of}_{layer}{SUFFIX[kind]}"
 
 
 def _save(image, path, kind):

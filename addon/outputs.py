@@ -25,7 +25,7 @@ from ..core.remesh import Remesh, triangulated
 from ..core.state import ANEW
 from ..core.subdivide import Fitting, fit_mesh, longest_edge, remeshed
 from .errors import Refused, check_memory
-from .images import image_path, make_image
+from .images import file_names, image_path, make_image
 from .remesh import carry_groups, groups_of, make_mesh, piece_of
 from .shown import forget_others, show
 from .write_result import (
@@ -290,15 +290,15 @@ class Lightmaps:
     def writing(self, context, targets):
         """Write images and copies, in steps; returns Findings."""
         images, copies, formers = {}, [], copy_names(context.scene)
-        output = self.options.output or bpy.data.filepath
+        output, files = self.options.output or bpy.data.filepath, file_names(self.atlas.names)
         for layer, pictures in self.images.items():
             for number, name in enumerate(self.atlas.names):
                 yield
-                path = image_path(output, name, layer, self.options.image) if output else None
+                path = image_path(output, files[number], layer, self.options.image) if output else None
                 images[layer, number] = make_image(f"{name}_{layer}", pictures[number], path, self.options.image)
                 if self.options.bytes:
                     encoded = srgb(np.clip(pictures[number] * 2.0**self.exposure, 0.0, 1.0))
-                    path = image_path(output, name, coded(layer), "png") if output else None
+                    path = image_path(output, files[number], coded(layer), "png") if output else None
                     copies.append(make_image(f"{name}_{coded(layer)}", encoded, path, "byte"))
                     copies[-1][EXPOSURE] = self.exposure
         remesh = None if self._uv is not None else triangulated(self.scene)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import shutil
 
@@ -11,6 +12,8 @@ import shutil
 def written_whole(path, suffix=""):
     """The path of a new file beside `path`, whose name ends in the suffix, and which takes its place in the end; if anything
     fails, it is removed. What is no ordinary file (a device, a pipe) is written itself. Raises OSError with the path."""
+    if os.path.isdir(path):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), path)
     ordinary = os.path.isfile(path) or not os.path.exists(path)
     place = os.path.realpath(path)  # a link stays one
     temporary = f"{place}.tmp{os.getpid()}{suffix}" if ordinary else path

@@ -189,6 +189,23 @@ def test_the_same_bits_again(cells):
     assert np.array_equal(read[1], read[3])
 
 
+def test_names_that_file_systems_take_for_one(cells, tmp_path):
+    """Every object keeps an image of its own: here one is lit, and one is not."""
+    empty()
+    names = ("a/b", "a_b", "A_b", "wände", "wönde")
+    for k, name in enumerate(names):
+        plane(name, n=1, size=0.5, location=(k, 0, 0 if k % 2 else 2))
+    lamp("POINT", 300.0, location=(2, 0, 1), shadow_soft_size=0.05)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "s.blend"))
+    bake_ours(cells, target="lightmap", size=16, layers=("Lighting",), output=str(tmp_path / "s.blend"))
+    files = {bpy.path.abspath(bpy.data.images[f"{name}_Lighting"].filepath) for name in names}
+    assert len({file.casefold() for file in files}) == len(names)
+    for name in names:
+        image = bpy.data.images[f"{name}_Lighting"]
+        lit = pixels_of(bpy.path.abspath(image.filepath)).max() > 0
+        assert lit == (bpy.data.objects[name].location.z == 0), name
+
+
 def test_a_uv_map_that_is_not_there(tmp_path, capfd):
     lit_room()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "room.blend"))

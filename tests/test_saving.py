@@ -42,6 +42,13 @@ def test_what_fails_leaves_nothing(tmp_path, written, problem):
         assert (caught.value.filename, caught.value.errno) == (path, 28)
 
 
+def test_a_folder_is_not_written(tmp_path):
+    with pytest.raises(IsADirectoryError) as caught, written_whole(tmp_path):
+        pass
+    assert caught.value.filename == tmp_path
+    assert contents(tmp_path) == {}
+
+
 def test_files_that_come_together(tmp_path):
     (tmp_path / "f.bin").write_text("before")
     (tmp_path / "other").write_text("before")
