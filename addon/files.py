@@ -15,6 +15,7 @@ import bpy
 from ..core.saving import written_whole
 from .errors import Refused
 
+PARTS_END = b"\xb1\xea\x92\x8f"  # of the list of a compressed file's parts
 FULL = 1 << 16  # bytes that are free on a disk that is full
 
 
@@ -119,22 +120,23 @@ def writing(path, suffix, written=written_whole):
 
 
 def _is_whole(path):
-    """Whether a file has an end, if it is of a format of which Blender does not notice that the disk is full: PNG has a last
-    chunk; USD in words a closed block; in bytes a table, where its head says."""
+    """Whether a file has its end, if it is of a format of which Blender does not always notice that the disk is full: a
+    .blend file has a last block, or compressed a list of its parts; PNG a last chunk; USD in words a closed block, in bytes
+    a table, where its head says."""
     size, suffix = os.path.getsize(path), os.path.splitext(path)[1].lower()
     with open(path, "rb") as file:
         head = file.read(24)
+        file.seek(max(size - 64, 0))
+        tail = file.read()
+        if suffix == ".blend":
+            return b"ENDB" in tail if head.startswith(b"BLENDER") else tail.endswith(PARTS_END)
         if suffix == ".png":
-            file.seek(max(size - 8, 0))
-            return file.read(4) == b"IEND"
+            return tail[-8:-4] == b"IEND"
         if head.startswith(b"PXR-USDC"):
             table = int.from_bytes(head[16:], "little")
             file.seek(table)
             return size >= table + 8 + 32 * int.from_bytes(file.read(8), "little") > table + 8
-        if suffix.startswith(".usd"):
-            file.seek(max(size - 8, 0))
-            return file.read().rstrip().endswith(b"}")
-    return True
+        return tail.rstrip().endswith(b"}") or not suffix.startswith(".usd")
 
 
 def _reason(error, path):

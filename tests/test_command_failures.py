@@ -442,6 +442,22 @@ def test_a_disk_that_is_full(scene, monkeypatch, capfd, options, place, owner, f
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs a limit on the size of files")
+@pytest.mark.parametrize("size", [1000, 8192, 20_000])
+def test_a_compressed_file_on_a_disk_that_is_full(scene, monkeypatch, capfd, size):
+    """Blender does not notice: the scene would be lost that the output takes the place of."""
+    bpy.ops.wm.save_as_mainfile(filepath=str(scene), compress=True)
+    assert main(["bake", str(scene), "-o", str(scene.with_name("lit.blend")), "--quiet"]) == 0
+    assert scene.with_name("lit.blend").stat().st_size > 20_000
+    scene.with_name("lit.blend").unlink()
+    before = contents(scene.parent)
+    limited(monkeypatch, command_bake, "save_file", size)
+    code, line = failing(capfd, "bake", scene, "-o", scene, "--quiet")
+    assert code == 1
+    assert f"cannot write {scene}: " in line
+    assert contents(scene.parent) == before
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs a limit on the size of files")
 def test_exports_to_a_disk_that_is_full(scene, cells):
     """The same; in processes of their own, since Blender's glTF exporter leaves a thread behind."""
     bake_ours(cells)
