@@ -13,7 +13,7 @@ import time
 import numpy as np
 import pytest
 
-from cell_radiosity.core.cells import APART, CellError, LocalCells, _packed, _Process, make_cells, unpacked
+from cell_radiosity.core.cells import APART, FLOW, CellError, LocalCells, _packed, _Process, make_cells, unpacked
 
 from scenes import Lamp, Material, Settings, World, bake, box, icosphere, join_meshes, run
 
@@ -283,3 +283,21 @@ def test_a_dead_cell_does_not_end_a_host_that_has_sigpipe_at_its_default():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "restarted 2"
+
+
+def test_a_flow_makes_arguments_no_sooner_than_cells_need_them():
+    """Results come in order; of hundreds of tasks only a few have been made when the first results are there."""
+    with make_cells(2) as cells:
+        made = 0
+
+        def each():
+            nonlocal made
+            for number in range(300):
+                made += 1
+                yield dict(seconds=0.0, sizes=np.array([number]))
+
+        for number, result in enumerate(cells.flow("wait", each())):
+            assert len(result["0"]) == number
+            assert made <= min(number + FLOW * cells.count + 1, 300)
+        assert made == number + 1 == 300
+        assert list(cells.flow("wait", [])) == []
