@@ -163,21 +163,25 @@ def _charts(xatlas, scene, triangle, fine):
     index = group.reshape(-1, 3)
     first, second = _edges(index)
     bend = 1.0 - dot(facing[first], facing[second])
+    projected = (index, facing, first, second)
     if fine or ((bend > EXACTLY) & (bend < NEARLY)).any():
-        return _projected(scene, triangle, index, facing, first, second)
+        return _projected(scene, triangle, *projected)
 
     position = np.zeros((count, 3))
-    position[group] = scene.vertices[vertex] - scene.vertices[vertex[0]]
+    edge = np.sqrt(scene.triangle_normal_area[1][triangle].max())
+    meter = _near(edge)
+    position[group] = (scene.vertices[vertex] - scene.vertices[vertex[0]]) / meter
     mean = unit(np.stack([np.bincount(group, normal[:, k], count) for k in range(3)], axis=1))
     atlas = xatlas.Atlas()
     atlas.add_mesh(position.astype(np.float32), index.astype(np.uint32), mean.astype(np.float32))
     charting, packing = xatlas.ChartOptions(), xatlas.PackOptions()
     charting.normal_seam_weight = 1001.0  # from 1000 on no chart goes across a sharp edge
-    edge = np.sqrt(scene.triangle_normal_area[1][triangle].max())
-    packing.texels_per_unit = 64.0 / max(edge, TINY)  # so fine that the snapping to texels does not matter
+    packing.texels_per_unit = 64.0 * meter / edge  # so fine that the snapping to texels does not matter
     atlas.generate(charting, packing)
     _, index, uv = atlas[0]
     flat = uv[index].astype(float) * (atlas.width, atlas.height) / atlas.texels_per_unit
+    if not np.isfinite(flat).all():  # slivers beyond what its numbers hold
+        return _projected(scene, triangle, *projected)
     chart = components(*linked(np.arange(len(triangle)).repeat(3), index.reshape(-1)), len(triangle))
     # Charts come snapped to whole texels: back to the size of their surface.
     area, covered = scene.triangle_normal_area[1][triangle], np.abs(_signed_areas(flat))
@@ -218,8 +222,9 @@ def _pack(xatlas, flat, chart, density, size, padding, name):
     # Charts start at 0: far from it float32 would lose their shape.
     low = np.full((chart.max() + 1, 2), np.inf)
     np.minimum.at(low, chart.repeat(3), flat.reshape(-1, 2))
-    place[index] = (flat - low[chart][:, None]).reshape(-1, 2)
     area = np.abs(_signed_areas(flat)).sum()
+    meter = _near(sqrt(area))
+    place[index] = (flat - low[chart][:, None]).reshape(-1, 2) / meter
     density = density if size is None else size * sqrt(0.9 / max(area, TINY))
     side = size or density * sqrt(area)
     _limited(side, side, name)
@@ -227,7 +232,7 @@ def _pack(xatlas, flat, chart, density, size, padding, name):
         atlas = xatlas.Atlas()
         atlas.add_uv_mesh(place, index.reshape(-1, 3).astype(np.uint32), chart[:, None].astype(np.uint32))
         packing = xatlas.PackOptions()
-        packing.texels_per_unit, packing.resolution = density, size or 0
+        packing.texels_per_unit, packing.resolution = density * meter, size or 0
         packing.padding, packing.bilinear = padding, True
         atlas.generate(xatlas.ChartOptions(), packing)
         if size is None or atlas.atlas_count == 1:
@@ -239,7 +244,13 @@ def _pack(xatlas, flat, chart, density, size, padding, name):
         )
     _, packed, uv = atlas[0]
     shape = _limited(size or atlas.width, size or atlas.height, name)
-    return uv[packed].astype(float) * (atlas.width, atlas.height), shape
+    place = uv[packed].astype(float) * (atlas.width, atlas.height)
+    return np.where(np.isfinite(place), place, 0.0), shape  # much smaller than a texel: no numbers
+
+
+def _near(length):
+    """The power of two next above a length, as a unit for xatlas, which takes what is below some 1e-6 for nothing."""
+    return float(np.ldexp(1.0, np.frexp(max(length, TINY))[1]))
 
 
 def _bits(flat):

@@ -119,6 +119,16 @@ def test_an_atlas_of_a_given_size():
     assert covered > 0.5 * 128 * 128
 
 
+@pytest.mark.parametrize("scale", [2.0**-30, 2.0**30])
+def test_an_atlas_does_not_know_the_scale(scale):
+    """xatlas alone takes small meshes for nothing, and gives places that are no numbers."""
+    mesh = box("room", high=(4, 3, 2), n=3)
+    usual = make_atlas(join_meshes([mesh]), size=64)
+    other = make_atlas(join_meshes([replace(mesh, vertices=mesh.vertices * scale)]), size=64)
+    assert np.array_equal(other.place, usual.place)
+    assert other.findings == usual.findings == ()
+
+
 @pytest.mark.parametrize("splits", [5, 6])
 def test_a_dense_ball_is_not_folded(splits):
     """Its neighbors bend so little that a ball of triangles passes for a plane if only neighbors are looked at."""
