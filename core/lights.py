@@ -143,8 +143,8 @@ def unoccluded(sources, s, position, normal):
     if kind == SUN:
         return np.maximum(-dot(normal, sources.direction[s]), 0.0)
     if kind == SKY:
-        rise = np.einsum("kd,jd->kj", normal, sources.polygon(s))
-        return np.einsum("kj->k", np.maximum(rise, 0.0)) / rise.shape[1]
+        rise = dot(normal[:, None], sources.polygon(s))
+        return np.einsum("kj->k", np.ascontiguousarray(np.maximum(rise, 0.0))) / rise.shape[1]
     if kind == FLAT and sources.cone[s, 0] > 0:
         return _narrow_factor(sources, s, position, normal)
     if kind == FLAT:
@@ -229,7 +229,7 @@ def _cone_share(sources, s, position, normal):
     each = _on_disk(sources, s, place, *lattice(DISK_PLACES)) - place
     weight = np.maximum(dot(each, normal[mixed, None]), 0.0)
     inside = weight * _in_cone(sources, s, each)
-    share[mixed] = ratio(np.einsum("kj->k", inside), np.einsum("kj->k", weight))
+    share[mixed] = ratio(*(np.einsum("kj->k", np.ascontiguousarray(x)) for x in (inside, weight)))
     return share
 
 
@@ -372,7 +372,7 @@ def _narrow_factor(sources, s, position, normal):
         rise = np.maximum(ratio(dot(toward, np.broadcast_to(normal, position.shape)[part, None]), distance), 0.0)
         tilt = np.maximum(ratio(-dot(toward, sources.direction[s]), distance), 0.0)
         each = rise * tilt * area / (np.pi * square + area) * _narrowed(sources, s, tilt)
-        result[part] = np.einsum("kj->k", each)
+        result[part] = np.einsum("kj->k", np.ascontiguousarray(each))
     return result
 
 

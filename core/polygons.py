@@ -128,7 +128,10 @@ def _lambert(start, end, normal):
     gamma = angle(sine, _dot(start, end))
     gamma *= _dot(turn, normal)
     gamma /= np.maximum(sine, TINY)
-    return gamma.sum(axis=0) / (2 * np.pi)
+    total = gamma[0]
+    for part in gamma[1:]:  # in this order for any number of polygons, as a sum over an axis is not
+        total = total + part
+    return total / (2 * np.pi)
 
 
 def _next(x):

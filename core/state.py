@@ -28,7 +28,7 @@ from .records import from_arrays, to_arrays
 from .saving import written_whole
 from .settings import Settings
 
-FORMAT = 2  # of the file; higher when samples of the same seed become others
+FORMAT = 3  # of the file; higher when samples of the same seed become others
 ANEW = "name another state file to bake it anew"
 DAMAGED = f"it is not a state file, or is damaged: {ANEW}"
 

@@ -13,8 +13,12 @@ RUN = 1 << 14  # items: their arrays stay in the processor's cache
 
 
 def dot(a, b):
-    """(...) dot products over the last axis, broadcast."""
-    return np.einsum("...d,...d->...", a, b)
+    """(...) dot products over the last axis, broadcast. Coordinate by coordinate: a sum of products in one step may round
+    otherwise at the ends of an array, and what a cell finds at a point must not depend on the others that it looks at."""
+    result = a[..., 0] * b[..., 0]
+    for k in range(1, np.shape(a)[-1]):
+        result += a[..., k] * b[..., k]
+    return result
 
 
 def cross(a, b):

@@ -144,6 +144,16 @@ def test_factor_is_additive_where_the_horizon_cuts(rng):
     np.testing.assert_allclose(parts, polygon_factor(points, normals, whole), atol=1e-12)
 
 
+@pytest.mark.parametrize("polygon", [SQUARE, disk(1, 0, sides=24)])
+@pytest.mark.parametrize("size", [1, 7])
+def test_factor_at_a_point_does_not_depend_on_the_others(rng, polygon, size):
+    points, normals = rng.normal(size=(210, 3)) + (0, 0, 0.5), rng.normal(size=(210, 3))
+    normals /= np.linalg.norm(normals, axis=1)[:, None]
+    parts = [slice(k, k + size) for k in range(0, len(points), size)]
+    alone = np.concatenate([polygon_factor(points[p], normals[p], polygon) for p in parts])
+    assert (alone == polygon_factor(points, normals, polygon)).all()
+
+
 def test_factor_degenerates_quietly():
     """On a corner, on an edge, in the plane, with repeated corners: a finite factor between 0 and 1."""
     points = np.array([(0, 0, 0), (0.5, 0, 0), (0.5, 0.5, 0), (3, 0, 0)], float)
@@ -202,6 +212,11 @@ def test_irradiance_of_a_spot(rng, blend):
     np.testing.assert_allclose(factor, expected, atol=expected.max() / 32)  # 32 places of the disk
     assert (factor == 0).any()
     assert ((factor > 0) & (factor < 0.3 * factor.max())).any()  # the rim
+
+    # Cells keep what they found, each at the points that it came to: it must not depend on which these are.
+    for size in (1, 7):
+        parts = [slice(k, k + size) for k in range(0, count, size)]
+        assert (np.concatenate([unoccluded(spot, 0, points[p], normals[p]) for p in parts]) == factor).all()
 
     nothing = RayCaster(np.zeros((0, 3)), np.zeros((0, 3), int), np.zeros(0, bool))
     owner = np.repeat(np.arange(count), len(a))
