@@ -1,13 +1,14 @@
 """Light that a hit reflects, sampled anew: not as its patch has it, but as it is at that very place.
 
 A patch has one radiosity; where shadows and contacts are finer than it, rays that ask for the truth go on: with a test
-ray to one source, and one more ray, whose hit then reads the patches.
+ray to one source, and one more ray, and a guided one if there are any, whose hits then read the patches.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from .guide import Aim
 from .lights import from_one_test, likely_light, test_rays
 from .sampling import hemisphere, tangents
 from .scene import normal_and_area
@@ -15,9 +16,10 @@ from .vectors import by_coordinate, take
 
 
 def reflect_anew(kernel, hit, chosen, x):
-    """(C, K) light [W/m^2] that the chosen hits (K,) of Hits reflect: of a source picked for each, and of one more ray.
+    """(C, K) light [W/m^2] that the chosen hits (K,) of Hits reflect: of a source picked for each, and of one more ray, with
+    a guided one beside it.
 
-    x: (5, K) samples in [0, 1): which source, a place on it, and the direction of the ray.
+    x: (5, K) samples in [0, 1): which source, or side that rays are guided to, a place on it, and the direction of the ray.
     """
     triangle, back = hit.triangle[chosen], hit.back[chosen]
     corners = np.take(kernel.triangles, triangle, axis=0).T
@@ -29,10 +31,18 @@ def reflect_anew(kernel, hit, chosen, x):
     arriving = _one_source(kernel, position, normal, start, x[0], x[1], x[2])
     local = hemisphere(x[3], x[4])
     t1, t2 = tangents(normal)
-    direction = local[:, :1] * t1 + local[:, 1:2] * t2 + local[:, 2:] * normal
-    side = kernel.hits(start, direction.astype(np.float32)).side
+    direction = (local[:, :1] * t1 + local[:, 1:2] * t2 + local[:, 2:] * normal).astype(np.float32)
+    if kernel.guide:
+        aim = Aim(kernel.guide, position, normal)
+        more = aim.rays(position[:, None], *x[:3, :, None])
+        direction = np.concatenate([direction.T[:, :, None], more], axis=2)
+        far = kernel.hits(np.repeat(start, 2, axis=0), direction.reshape(3, -1).T)
+        weight = aim.weights(far, direction, normal[:, None], 1)
+    else:
+        far, weight = kernel.hits(start, direction), np.ones((len(start), 1))
     for name in ("gather.reflected", "gather.found"):
-        arriving += read_light(kernel.arrays[name], side)
+        light = read_light(kernel.arrays[name], far.side).reshape(len(arriving), *weight.shape)
+        arriving += np.einsum("ckn,kn->ck", light, weight)
     own = hit.side[chosen]
     reflected = kernel.arrays["gather.reflectance"][:, own] * arriving
     through = kernel.arrays["gather.through"]

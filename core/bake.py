@@ -50,6 +50,7 @@ FINER = 1.5  # times shorter are patches where the usual ones alone keep a bake 
 EASED, EASED_FINE = 4.0, 2.0  # times the length of patches where nothing casts a shadow; the latter below 1 % error
 PRICED = (0.1, 0.05, 0.02, 0.01, 0.005)  # errors of the price list
 IN_TIME = 0.9  # of the time that is left is spent on another replicate
+PLACED = 100_000  # points that are foreseen where they do not lie on the scene's vertices
 PILOT = 2  # replicates of the pilot: how they scatter shows their noise
 ANY_RAYS = 0.9  # of the seconds of a small replicate's test rays: they are spent for whatever number of rays
 CONTROL_POINTS = 320
@@ -229,7 +230,7 @@ class _Course:
             return False
         if (settings.patch_edge, settings.graded, settings.rows) != (usual.patch_edge, usual.graded, usual.rows):
             return False
-        return found.total > error and found.total**2 - found.patches**2 <= error * error
+        return found.total > error and found.total**2 - found.patches**2 - found.noise**2 <= error * error
 
     def refine(self):
         """Begin anew, with the same points on finer patches."""
@@ -278,12 +279,24 @@ class _Course:
             self.solution = yield from _each(self.clock.watch(solving), self._of_round)
         else:
             before = known and known.solution
-            solving = solve(self.patches, self.surfaces, self.sky, self.cells, settings, self.survey, before)
+            written = np.repeat(self.scene.written[self.scene.polygon_object[self.patches.polygon]], 2)
+            points = self._points_foreseen()
+            solving = solve(
+                self.patches, self.surfaces, self.sky, self.cells, settings, self.survey, before, written, points
+            )
             self.solution = yield from _each(self.clock.watch(solving), self._of_round)
             if before:  # its control points read another light
                 self.solution = known.with_rows(self.solution)
                 self._known = replace(known, traced=known.traced and Traced(rounds=known.traced.rounds), doubt=inf)
         self.clock.lap("transport")
+
+    def _points_foreseen(self):
+        """About how many points there will be."""
+        if self._place:
+            return PLACED
+        scene = self.scene
+        corner = np.repeat(scene.written[scene.polygon_object], np.diff(scene.polygon_start))
+        return int(np.count_nonzero(np.bincount(scene.corner_vertex[corner])))
 
     def pilot(self):
         """The first replicates at all points, and a first look at their error."""

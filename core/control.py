@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .anew import read_light, reflect_anew
-from .gather import SEEDS, TASK_RAYS, above_surface, direction_tables, world_rays
+from .gather import SEEDS, TASK_RAYS, Shooter, weighted_sum
 from .kernel import blocks
 from .lights import test_rays
 from .sampling import R2, R5, fraction, scatter
@@ -115,20 +115,18 @@ def control_points(kernel, ids, rays, seed):
     reflected, found = kernel.arrays["gather.reflected"], kernel.arrays["gather.found"]
     truth = _direct(kernel, ids, min(rays, DIRECT_TESTS), seed)
     patches = np.zeros_like(truth)
-    tables = direction_tables(rays, seed)
-    for part in blocks(len(ids), rays):
+    shooter = Shooter(kernel, rays, seed)
+    for part in blocks(len(ids), shooter.each):
         own = ids[part]
-        normal, geometric = kernel.points.normal[own], kernel.points.geometric[own]
-        origin = kernel.caster.start(kernel.points.position[own], geometric)
-        directions = world_rays(tables, own, normal, seed)
-        hit = kernel.hits(np.repeat(origin, rays, axis=0), directions.reshape(3, -1).T)
-        counts = (hit.side >= 0) & above_surface(directions, geometric).reshape(-1)
-        emitted = read_light(found, hit.side) * above_surface(directions, geometric).reshape(-1)
+        hit, weight = shooter.shoot(own)
+        counts = (hit.side >= 0) & (weight.reshape(-1) > 0)
+        emitted = read_light(found, hit.side)
         deeper = np.zeros((len(reflected), len(counts)))
-        deeper[:, counts] = reflect_anew(kernel, hit, np.flatnonzero(counts), _samples(own, rays, seed)[:, counts])
+        samples = _samples(own, shooter.each, seed)[:, counts]
+        deeper[:, counts] = reflect_anew(kernel, hit, np.flatnonzero(counts), samples)
         flat = np.where(counts, read_light(reflected, hit.side), 0.0)
-        truth[:, part] += _mean(emitted + deeper, rays)
-        patches[:, part] = _mean(flat - deeper, rays)
+        truth[:, part] += weighted_sum(emitted + deeper, weight)
+        patches[:, part] = weighted_sum(flat - deeper, weight)
     return {"truth": truth, "patches": patches}
 
 
@@ -166,8 +164,3 @@ def _direct(kernel, ids, tests, seed):
         visible = ratio(*(np.einsum("kn->k", x.reshape(-1, count)) for x in (seen, weight)))
         light[:, lit] += sources.strength[s][:, None] * (factor[s, lit] * visible)
     return light
-
-
-def _mean(values, rays):
-    """(C, K) means of values (C, K * rays) over the rays of each point."""
-    return np.stack([np.einsum("kn->k", channel.reshape(-1, rays)) for channel in values]) / rays

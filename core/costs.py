@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 SOURCES = ("lamps", "emission", "sky")  # effects whose sources are sampled
-ROWS = ("rows", "analytic")  # tasks that find where light goes
+ROWS = ("rows", "analytic", "guided")  # tasks that find where light goes
 BY_RAYS = ("interreflection", "sky", "emission")  # effects that call for rays: the first that is needed has them all
 
 

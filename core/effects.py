@@ -85,7 +85,15 @@ class Survey:
             for o in behind
         )
         cells = (Finding("cells", "the cells could not all be used", cells_note),) if cells_note else ()
-        return replace(self, health=(*self.health, *dark, *more, *audit(scene, solution, error), *cells))
+        effects = self.effects
+        if solution.guide is not None and len(solution.guide):
+            told = f"; rays are guided to {len(solution.guide)} bright sides of patches, which they would seldom meet by chance"
+            effects = tuple(
+                replace(e, reason=e.reason + told) if e.name == "interreflection" else e for e in self.effects
+            )
+        return replace(
+            self, effects=effects, health=(*self.health, *dark, *more, *audit(scene, solution, error), *cells)
+        )
 
 
 def survey(scene, settings=None, cells=None):

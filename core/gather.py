@@ -15,18 +15,22 @@ import numpy as np
 
 from .anew import read_light
 from .filter import Filter
+from .guide import NOTHING, Aim, guide_samples
 from .kernel import blocks
 from .lights import FLAT, test_rays, unlike, unoccluded
 from .points import pairs
+from .records import to_arrays
 from .sampling import R2, fraction, hemisphere, lattice, scatter, tangents
 from .vectors import counted, ratio
 
 TASK_RAYS = 1 << 15  # of one task: some 10 ms
 TABLES = 64  # direction tables, each turned by a step of its own; a point's shift picks one
 APART = (0.41421356237309503, 0.7320508075688772)  # steps from point to point of the test rays' shifts
-GATHER, TEST = 3, 4  # salts of the sample sequences
+GATHER, TEST, GUIDED = 3, 4, 7  # salts of the sample sequences
 REPLICATES = 12  # with steps of their own
 SEEDS = 1 << 20  # between the seeds of replicates
+
+GUIDED_SHARE = 0.25  # guided rays, if there are any, for each ray over the hemisphere
 
 TESTS = 4  # test rays toward a source, before it is known whether it is partly hidden
 MAIN = 0.25  # share of a point's light from which on a source gets all of them
@@ -296,6 +300,7 @@ def light_arrays(points, solution, surfaces, sky):
         through = solution.reflected - surfaces.reflectance * solution.irradiance
     return {
         **{f"points.{name}": np.asarray(getattr(points, name), order="C") for name in PLACE},
+        **to_arrays("guide", solution.guide or NOTHING),
         "gather.reflected": reflected if reflected.any() else nothing,
         "gather.reflectance": surfaces.reflectance,
         "gather.through": through,
@@ -320,21 +325,45 @@ def gather_points(kernel, ids, rays, tests, seed, links):
         kernel.caster.note("links", begun)
     if not (reflected.size or found.size):
         return result
-    tables = direction_tables(rays, seed)
-    for part in blocks(len(ids), rays):
-        normal, geometric = kernel.points.normal[ids[part]], kernel.points.geometric[ids[part]]
-        origin = kernel.caster.start(kernel.points.position[ids[part]], geometric)
-        directions = world_rays(tables, ids[part], normal, seed)
-        hit = kernel.hits(np.repeat(origin, rays, axis=0), directions.reshape(3, -1).T)
-        above = above_surface(directions, geometric) if (normal != geometric).any() else None
+    shooter = Shooter(kernel, rays, seed)
+    for part in blocks(len(ids), shooter.each):
+        hit, weight = shooter.shoot(ids[part])
         if reflected.size:
-            result["reflected"][:, part] = _mean(read_light(reflected, hit.side), rays, above)
+            result["reflected"][:, part] = weighted_sum(read_light(reflected, hit.side), weight)
         if found.size:
-            result["found"][:, part] = _mean(read_light(found, hit.side), rays, above)
-        near = 1.0 / np.maximum(hit.distance, 1e-6).astype(float)
-        result["nearness"][part] = np.einsum("kn->k", near.reshape(-1, rays)) / rays
-        result["closest"][part] = hit.distance.reshape(-1, rays).min(axis=1)
+            result["found"][:, part] = weighted_sum(read_light(found, hit.side), weight)
+        distance = hit.distance.reshape(-1, shooter.each)[:, :rays]
+        near = 1.0 / np.maximum(distance, 1e-6).astype(float)
+        result["nearness"][part] = np.einsum("kn->k", near) / rays
+        result["closest"][part] = distance.min(axis=1)
     return result
+
+
+class Shooter:
+    """Rays from points: `rays` over the hemisphere of each, and guided ones if there are any, `each` in all."""
+
+    def __init__(self, kernel, rays, seed):
+        self._kernel, self._rays, self._seed, self._tables = kernel, rays, seed, direction_tables(rays, seed)
+        self._guided = max(int(GUIDED_SHARE * rays), 1) if kernel.guide else 0
+        self.each = rays + self._guided
+
+    def shoot(self, ids):
+        """What the rays of points ids (K,) meet, as Hits of K * each rays, and what each counts, (K, each)."""
+        kernel, points, rays = self._kernel, self._kernel.points, self._rays
+        position, normal, geometric = points.position[ids], points.normal[ids], points.geometric[ids]
+        directions = world_rays(self._tables, ids, normal, self._seed)
+        if self._guided:
+            aim = Aim(kernel.guide, position, normal)
+            more = aim.rays(position[:, None], *guide_samples(ids, self._guided, self._seed, GUIDED))
+            directions = np.concatenate([directions, more], axis=2)
+        origin = np.repeat(kernel.caster.start(position, geometric), self.each, axis=0)
+        hit = kernel.hits(origin, directions.reshape(3, -1).T)
+        weight = np.full((len(ids), self.each), 1.0 / rays)
+        if self._guided:
+            weight = aim.weights(hit, directions, normal[:, None], rays)
+        if (normal != geometric).any():
+            weight = weight * above_surface(directions, geometric)
+        return hit, weight
 
 
 def find_sides(kernel, position, up):
@@ -361,12 +390,9 @@ def patch_light(side, solution):
     return Light(direct, indirect, unknown, unknown[0], np.zeros(len(side), bool))
 
 
-def _mean(light, rays, above):
-    """(C, K) mean of the light (C, K * n) along rays; above: (K, n) bool, the rays that count, or None for all."""
-    light = light.reshape(len(light), -1, rays)
-    if above is not None:
-        light = np.where(above, light, 0.0)
-    return np.einsum("ckn->ck", light) / rays
+def weighted_sum(light, weight):
+    """(C, K) sums of the light (C, K * n) along rays times weight (K, n)."""
+    return np.einsum("ckn,kn->ck", light.reshape(len(light), *weight.shape), weight)
 
 
 def _links(kernel, ids):

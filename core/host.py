@@ -12,11 +12,14 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from time import perf_counter
 
 import numpy as np
 
 from .graphs import components
+from .guide import LOOK_RAYS, NOTHING, Guide, bright_sides, make_guide
+from .records import to_arrays
 from .sky import solid_angles
 from .vectors import counted, ratio
 
@@ -34,6 +37,7 @@ KRYLOV = 8  # directions that the solve combines at a time
 LEAST_COVERAGE = 1e-3  # of a patch, which keeps its irradiance finite
 SWEEPS = 2000  # of the solve, at most
 ENDLESS = 1 << 62  # bytes: as much memory as it takes
+GUIDED_ROWS = 0.25  # rays of each kind for the first light of bright sides, for each ray of a row: more take off little
 MOST_ROWS = 30  # rows that are found of each side in the mean, where memory holds only few of them; then it ends
 
 
@@ -65,7 +69,8 @@ class Solution:
     reflected: light sent back or through, what gather rays read. irradiance: light arriving; direct: the part of it
     from sampled sources. rounds: tuple of Round.
     sweeps: over all rows. bound: certified bound on the largest error of `irradiance`, as a share of its mean.
-    energy: {name: W}, sums of the channels. rows: those that were kept.
+    energy: {name: W}, sums of the channels. rows: those that were kept. guide: sides that rays are guided to, None as long as
+    that is not known, and guided: (C, 2 N) irradiance by their first light.
     """
 
     reflected: np.ndarray
@@ -77,6 +82,8 @@ class Solution:
     converged: bool
     energy: dict
     rows: RayRows | AnalyticRows | None = field(default=None, repr=False)
+    guide: Guide | None = None
+    guided: np.ndarray | None = field(default=None, repr=False)
 
 
 class RayRows:
@@ -256,6 +263,12 @@ class Transport:
         most = np.minimum(self.sky.max(axis=1), np.einsum("cm,m->c", self.sky, angle) / np.pi)[:, None]
         self.ahead = surfaces.send(self.area * most * np.ones_like(direct))
         self.island = np.zeros(direct.shape[1], np.int64) if island is None else np.asarray(island, np.int64)
+        self.guide = self.guided = None
+
+    @cached_property
+    def first_light(self):
+        """(C, 2 N) light that sides send before any of it has gone back and forth [W/m^2]."""
+        return self.surfaces.found + self.surfaces.send(self.direct)
 
     @property
     def emitted(self):
@@ -315,11 +328,15 @@ class Transport:
         irradiance = self.arrived / self.area
         sweeps, bound = 0, 0.0
         if len(sides):
-            arriving = irradiance.copy()
+            arriving, first = irradiance.copy(), self.direct[:, sides]
+            rest = surfaces.found
+            if self.guide is not None and len(self.guide):  # whose first light guided rays have found
+                first, rest = first + self.guided[:, sides], rest.copy()
+                rest[:, self.guide.sides] -= self.first_light[:, self.guide.sides]
 
             def update(values):
                 arriving[:, sides] = values
-                return self.direct[:, sides] + rows.gather(surfaces.found + surfaces.send(arriving), self.sky)
+                return first + rows.gather(rest + surfaces.send(arriving), self.sky)
 
             start, largest = irradiance[:, sides], surfaces.returned[:, sides]
             values, sweeps, bound = fixed_point(update, start, largest, self.area[sides], target, self.island[sides])
@@ -378,6 +395,8 @@ class Transport:
             converged=bound <= target,
             energy=self.energy(),
             rows=self.rows,
+            guide=self.guide,
+            guided=self.guided,
         )
 
     def energy(self):
@@ -472,12 +491,13 @@ def _least_residual(update, values, updated, goal):
     return sum(y * b for y, b in zip(share, basis)) + np.zeros_like(residual), len(triangle)
 
 
-def solve(patches, surfaces, sky, cells, settings, survey=None, known=None):
+def solve(patches, surfaces, sky, cells, settings, survey=None, known=None, written=None, points=0):
     """Find the Solution: a generator that yields a Round after every round and returns the Solution.
 
     sky: (C, M) exitance of the world, of each cell of its map [W/m^2]. survey: the Survey of the scene, if one was made. cells: started with `kernel.scene_arrays`.
     known: a Solution for the same, perhaps unfinished, whose direct light and rows are taken, not traced again; the
-    result has the bits that it would have without.
+    result has the bits that it would have without. written: (2 N,) bool, sides whose light is asked for; None: all.
+    points: about how many there will be to gather at.
     """
     begun = perf_counter()
     count, target = 2 * len(patches), settings.error / 10
@@ -489,6 +509,8 @@ def solve(patches, surfaces, sky, cells, settings, survey=None, known=None):
     known_rows = rows.empty() if known is None else known.rows
     direct = light_patches(cells, count, settings, sides) if known is None else known.direct
     state = Transport(patches.area, surfaces, direct, sky, rows, island=island)
+    if known is not None:
+        state.guide, state.guided = known.guide, known.guided
     taken, in_flight, rounds, sweeps, shots = np.zeros(count, bool), deque(), [], 0, 0
     settled = False
     try:
@@ -513,6 +535,7 @@ def solve(patches, surfaces, sky, cells, settings, survey=None, known=None):
                 inside, outside = state.missing()
             else:
                 # No bright side is left without a row: solve, and see whether that brightens the others.
+                _guide(state, cells, settings, written, points)
                 # Either half of what may be missing, of sides with rows and of the others, is the half of the target.
                 irradiance, more, inside = state.settle(target / 2)
                 sweeps += more
@@ -524,6 +547,39 @@ def solve(patches, surfaces, sky, cells, settings, survey=None, known=None):
         state.rows = _brought(state.rows, in_flight, cells)  # there are some if it was broken off
     found = state.solution(irradiance, rounds, sweeps, target)
     return found if settings.bounces is None else replace(found, reflected=state.reflected(settings.bounces))
+
+
+def _guide(state, cells, settings, written, points):
+    """Choose what rays are guided to, if that is not known, and find what its first light brings to sides with rows."""
+    rows, rays = state.rows, settings.row_rays
+    if state.guide is None:
+        state.guide, state.guided = NOTHING, np.full_like(state.direct, np.nan)
+        if isinstance(rows, RayRows):
+            weight = state.area[rows.sides] * (1.0 if written is None else written[rows.sides])
+            light = np.append(state.first_light.mean(axis=0), state.sky.mean(axis=0))
+            direct = state.direct[:, rows.sides].mean(axis=0)
+            cost = 2 * GUIDED_ROWS * rows.hits.size
+            found = state.surfaces.found.mean(axis=0)
+            bright = bright_sides(rows.hits, weight, direct, light, found, state.area, settings.error, points, cost)
+            if bright.any():
+                look = rows.sides[weight > 0]
+                look = look[:: max(len(look) * rays // LOOK_RAYS, 1)]
+                hits = _found(cells, "rows", look, rays, "hits", 0, rays=rays, seed=settings.seed + 1)
+                state.guide = make_guide(bright, hits, light, state.area)
+    if len(state.guide):
+        sides = rows.sides[np.isnan(state.guided[0, rows.sides])]
+        cells.start(to_arrays("guide", state.guide))
+        rays = max(int(GUIDED_ROWS * rays), 1)
+        asked = dict(rays=rays, seed=settings.seed, light=state.first_light[:, state.guide.sides])
+        if len(sides):
+            state.guided[:, sides] = _found(cells, "guided", sides, 2 * rays, "guided", 1, **asked)
+
+
+def _found(cells, task, sides, each, name, axis, **asked):
+    """What tasks of so many rays each find for sides (K,), which must not be none, put together along an axis."""
+    parts = _parts(sides, _task_size(len(sides), each, cells))
+    found = cells.take([cells.submit(task, sides=part, **asked) for part in parts])
+    return np.concatenate([result[name] for result in found], axis=axis)
 
 
 def _brought(rows, in_flight, cells):

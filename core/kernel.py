@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .alpha import Alpha, make_alpha
+from .guide import NOTHING, GuideGeometry
 from .lights import Sources, unoccluded
 from .patches import Patches, patch_of_hit
 from .points import Points
@@ -44,7 +45,7 @@ def transport_arrays(patches, sources, occluded=True, sky=1):
     light; else no ray looks whether it does. sky: cells of the map that escaping rays read."""
     return {
         **to_arrays("patches", patches), **to_arrays("sources", sources),
-        "occlusion.any": np.array(occluded), "alpha.coverage": NONE, "sky.cells": np.array(sky),
+        **to_arrays("guide", NOTHING), "occlusion.any": np.array(occluded), "alpha.coverage": NONE, "sky.cells": np.array(sky),
     }  # fmt: skip
 
 
@@ -102,6 +103,11 @@ class Kernel:
         return from_arrays(Points, "points", self.arrays)
 
     @cached_property
+    def guide(self):
+        """What rays are guided to, as a GuideGeometry, or None."""
+        return GuideGeometry(self) if len(self.arrays["guide.sides"]) else None
+
+    @cached_property
     def element_corners(self):
         """Corners (M, 4, 3) of the patches' elements, a triangle's last one twice, and the patch (M,) of each."""
         p, a, b = np.moveaxis(self.patches.element_frame, 1, 0)
@@ -131,7 +137,7 @@ class Kernel:
         kernel = Kernel({**self.arrays, **arrays})
         built = {
             "caster": "scene.", "patches": "patches.", "element_corners": "patches.", "sources": "sources.",
-            "points": "points.",
+            "points": "points.", "guide": "guide.",
         }  # fmt: skip
         for name, prefix in built.items():
             if name in self.__dict__ and not any(key.startswith(prefix) for key in arrays):

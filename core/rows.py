@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from .guide import Aim
 from .kernel import blocks
 from .lights import patch_irradiance
 from .patches import draw_on_patches
@@ -17,7 +18,7 @@ from .polygons import polygon_factor
 from .sampling import R4, fraction, hemisphere, lattice4, scatter, tangents
 from .vectors import dot, length, ratio
 
-ROW, DIRECT, SHADOW = 1, 2, 5  # salts: the samples of rows and of direct light have nothing in common
+ROW, DIRECT, SHADOW, GUIDED = 1, 2, 5, 8  # salts: the samples of rows and of direct light have nothing in common
 UNEVEN = 8  # times as many places on patches near a source
 # Gauss-Legendre nodes and weights on [0, 1].
 GAUSS = {
@@ -36,8 +37,31 @@ def trace_rows(kernel, sides, rays, seed):
     """{"hits": (K, rays) int32} sides met by rays from patch sides (K,), -1 where a ray escaped."""
     hits = np.empty((len(sides), rays), np.int32)
     for part in blocks(len(sides), rays):
-        hits[part] = kernel.hits(*_row_rays(kernel, sides[part], rays, seed)).side.reshape(-1, rays)
+        position, normal, direction = _row_rays(kernel, sides[part], rays, seed)
+        origin = kernel.caster.start(position, normal).reshape(-1, 3)
+        hits[part] = kernel.hits(origin, direction.reshape(3, -1).T).side.reshape(-1, rays)
     return {"hits": hits}
+
+
+def guide_rows(kernel, sides, rays, seed, light):
+    """{"guided": (C, K)} irradiance [W/m^2] that light (C, G) of the sides that rays are guided to gives patch sides (K,), by the
+    rays of their rows and as many guided ones."""
+    guided = np.empty((len(light), len(sides)))
+    light = np.column_stack([light[:, kernel.guide.order], np.zeros(len(light))])  # of all others
+    for part in blocks(len(sides), 2 * rays):
+        own = sides[part]
+        position, normal, direction = _row_rays(kernel, own, rays, seed)
+        aim = Aim(kernel.guide, kernel.patches.centroid[own >> 1], normal[:, 0])
+        pick, a, b, _ = _shifted(own, rays, seed, GUIDED)
+        direction = np.concatenate([direction, aim.rays(position, pick, a, b)], axis=2)
+        position, normal = (np.concatenate([x, x], axis=1) if x.shape[1] > 1 else x for x in (position, normal))
+        origin = kernel.caster.start(position, normal).reshape(-1, 3)
+        hit = kernel.hits(origin, direction.reshape(3, -1).T)
+        weight = aim.weights(hit, direction, normal, rays)
+        number = np.where(hit.side >= 0, np.take(kernel.guide.number, hit.side, mode="clip"), -1).reshape(weight.shape)
+        for channel, result in zip(light, guided):
+            np.einsum("kn,kn->k", weight, np.take(channel, number, mode="wrap"), out=result[part])
+    return {"guided": guided}
 
 
 def analytic_rows(kernel, sides, seed):
@@ -162,13 +186,13 @@ def _light(kernel, sides, samples, seed):
 
 
 def _row_rays(kernel, sides, rays, seed):
-    """Where the rays of rows start (K * rays, 3), and their directions (K * rays, 3), both float32."""
+    """Where the rays of rows start, (K, n, 3) float64, the normals there (K, 1 or n, 3), and their directions (3, K, n)
+    float32."""
     u, v, a, b = _shifted(sides, rays, seed, ROW)
     position, normal = _places(kernel, sides, a, b)
     local = hemisphere(u, v).astype(np.float32)
     frame = np.stack([*tangents(normal), normal]).astype(np.float32)
-    direction = np.stack([sum(frame[k, ..., d] * local[..., k] for k in range(3)).reshape(-1) for d in range(3)])
-    return kernel.caster.start(position, normal).reshape(-1, 3), direction.T
+    return position, normal, np.stack([sum(frame[k, ..., d] * local[..., k] for k in range(3)) for d in range(3)])
 
 
 def _shifted(sides, count, seed, salt):

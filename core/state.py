@@ -21,6 +21,7 @@ from .control import Traced
 from .effects import Effect, Survey
 from .gather import Gathered, Replicate
 from .groups import Groups
+from .guide import Guide
 from .health import Finding
 from .host import ENDLESS, AnalyticRows, RayRows, Round, Solution, joined_rows
 from .patches import Patches
@@ -280,6 +281,8 @@ def _packed(state):
     if state.solution is not None:
         solution, rows = state.solution, state.solution.rows
         arrays.update({f"solution.{name}": getattr(solution, name) for name in ("reflected", "irradiance", "direct")})
+        if solution.guide is not None:
+            arrays.update(to_arrays("guide", solution.guide), **{"solution.guided": solution.guided})
         kept = ("sides", "hits") if isinstance(rows, RayRows) else ("sides", "start", "target", "share")
         arrays.update({f"rows.{name}": getattr(rows, name) for name in kept})
         told["solution"] = {name: getattr(solution, name) for name in ("sweeps", "bound", "converged", "energy")}
@@ -325,6 +328,8 @@ def _unpacked(arrays, told):
     if "solution" in told:
         rows = _rows(arrays, settings, 2 * len(state.patches))
         light = {name: arrays[f"solution.{name}"] for name in ("reflected", "irradiance", "direct")}
+        if "guide.sides" in arrays:
+            light.update(guide=from_arrays(Guide, "guide", arrays), guided=arrays["solution.guided"])
         rounds = tuple(Round(**r) for r in told["rounds"])
         found["solution"] = Solution(**light, **told["solution"], rounds=rounds, rows=rows)
     if "side" in arrays:

@@ -10,7 +10,7 @@ from .gather import find_sides, gather_points
 from .lightmap import settle_points
 from .occlusion import openness_of_points
 from .placing import find_blocked, find_reach
-from .rows import analytic_rows, light_patches, trace_rows
+from .rows import analytic_rows, guide_rows, light_patches, trace_rows
 
 
 def wait(kernel, seconds, sizes):
@@ -33,6 +33,7 @@ TASKS = {
     "reach": find_reach,
     "direct": light_patches,
     "rows": trace_rows,
+    "guided": guide_rows,
     "analytic": analytic_rows,
     "gather": gather_points,
     "sides": find_sides,
