@@ -20,6 +20,7 @@ from .vectors import by_coordinate, length, ratio, unit
 MOST_SIDES = 4096  # that rays are guided to
 MOST_GROUPS = 64  # of sides that lie together, which are picked first
 BRIGHT = 3.0  # times what rays bring in the mean: as much light a side has that rays are guided to
+SELDOM = 0.1  # of the rays may meet those sides at most: they find well what they meet often
 WORTH = 0.4  # of the variance may be left without those sides, or guiding to them does not pay
 MOSTLY = 2.0  # times as many bright sides as rays have met are few enough to guide rays to all of them
 LOOK_RAYS = 1 << 15  # that tell how much bright sides matter, and as many which of them can be seen
@@ -66,7 +67,10 @@ def bright_sides(hits, weight, direct, light, found, area, error, points, cost):
     mean = max(float((share * (sums * sums - each)).sum()) / (rays * (rays - 1)), 0.0)  # of its square
     whole = float((share * (direct * direct + 2 * direct * sums / rays)).sum()) + mean
     bright = (light[: len(area)] > BRIGHT * np.sqrt(mean)) & (area > 0)
-    rest = np.where((hits >= 0) & np.take(bright, hits, mode="clip"), 0.0, met)
+    there = (hits >= 0) & np.take(bright, hits, mode="clip")
+    if float((share * there.sum(axis=1)).sum()) / rays > SELDOM:
+        return none
+    rest = np.where(there, 0.0, met)
     if not second > mean or float((share * np.einsum("kn->k", rest * rest)).sum()) / rays > WORTH * (second - mean):
         return none
     emitted = np.where(hits >= 0, np.take(found, hits, mode="clip"), 0.0)

@@ -141,6 +141,8 @@ def test_few_bright_sides_are_guided_to_if_there_are_points_enough_and_the_sky_i
         assert np.flatnonzero(bright).tolist() == wanted
     # So much comes straight from lamps that the noise of the rest does not matter.
     assert not bright_sides(hits, weight, np.full(64, 1e4), light, np.zeros(200), area, 0.01, 10**6, 1000).any()
+    often = np.where(hits % 6, hits, 17)  # a wide one is met well by chance
+    assert not bright_sides(often, weight, direct, light, np.zeros(200), area, 0.01, 10**6, 1000).any()
     light[200], hits[:, 0] = 50.0, -1  # what most of the light comes from cannot be guided to
     assert not bright_sides(hits, weight, direct, light, np.zeros(200), area, 0.01, 10**6, 1000).any()
 
