@@ -223,14 +223,17 @@ class _Course:
         self.clock.lap("gather")
 
     def too_coarse(self):
-        """Whether patches alone keep the bake from its error, where they have the length that is usual for it."""
+        """Whether patches alone keep the bake from its error for certain, where they have the length that is usual for it."""
         settings, found, error = self.settings, self.estimate, self.settings.error
         usual = _eased(Settings.for_error(error, per_object=settings.per_object), self.survey)
         if found is None or self._coarse or self._timed or settings.gather_rays is not None:
             return False
         if (settings.patch_edge, settings.graded, settings.rows) != (usual.patch_edge, usual.graded, usual.rows):
             return False
-        return found.total > error and found.total**2 - found.patches**2 - found.noise**2 <= error * error
+        # Noise that was left as it is, because what replicates share is more than the error for certain, can still be cured.
+        noise = found.noise if found.shared > error else 0.0
+        short = found.total > error and found.shared > 0
+        return short and found.total**2 - found.patches**2 - noise**2 <= error * error
 
     def refine(self):
         """Begin anew, with the same points on finer patches."""

@@ -54,7 +54,8 @@ def guide_rows(kernel, sides, rays, seed, light):
         aim = Aim(kernel.guide, kernel.patches.centroid[own >> 1], normal[:, 0])
         pick, a, b, _ = _shifted(own, rays, seed, GUIDED)
         direction = np.concatenate([direction, aim.rays(position, pick, a, b)], axis=2)
-        position, normal = (np.concatenate([x, x], axis=1) if x.shape[1] > 1 else x for x in (position, normal))
+        position = np.concatenate([position, position], axis=1)
+        normal = np.concatenate([normal, normal], axis=1) if normal.shape[1] > 1 else normal
         origin = kernel.caster.start(position, normal).reshape(-1, 3)
         hit = kernel.hits(origin, direction.reshape(3, -1).T)
         weight = aim.weights(hit, direction, normal, rays)

@@ -98,12 +98,13 @@ def test_what_a_point_gets_does_not_depend_on_the_others_of_its_task(lit):
         assert np.array_equal(whole[name], np.concatenate([part[name] for part in parts], axis=1))
 
 
-def test_first_light_of_sides_is_what_the_closed_form_says(lit):
+@pytest.mark.parametrize("rays", [1, 16])
+def test_first_light_of_sides_is_what_the_closed_form_says(lit, rays):
     kernel, _, guide, solved = lit
     patches = solved.patches
     ids = np.flatnonzero((patches.normal[:, 2] > 0.9) & (patches.centroid[:, 2] < 0.1))
     light = solved.surfaces.found[:, guide.sides]
-    rows = np.stack([guide_rows(kernel, 2 * ids, 16, seed, light)["guided"][0] for seed in range(24)])
+    rows = np.stack([guide_rows(kernel, 2 * ids, rays, seed, light)["guided"][0] for seed in range(24)])
     places = patches.element_frame[patches.element_start[ids]]
     steps = (np.arange(6) + 0.5) / 6
     true = np.mean(
