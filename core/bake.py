@@ -334,7 +334,7 @@ class _Course:
 
     def _gathering(self, points, side, gathered=None):
         """A Gathering at points, (P,) on patch sides."""
-        self.cells.start(light_arrays(points, self.solution, self.surfaces, self.sky))
+        self.cells.start(light_arrays(points, self.solution, self.surfaces, self.sky, side))
         start = patch_light(side, self.solution)
         return Gathering(points, start, self.cells, self.settings, self._group_count, gathered)
 

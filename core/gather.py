@@ -36,6 +36,8 @@ TESTS = 4  # test rays toward a source, before it is known whether it is partly 
 MAIN = 0.25  # share of a point's light from which on a source gets all of them
 UNLIKE = 6  # times as many where the parts of the source do not shine alike
 PENUMBRA = 1.5  # more test rays where it is, as a multiple of the gather rays
+MOST_TESTS = 16.0  # times as many test rays toward a source that gives so many times what points get in the mean
+UNSEEN = 32  # gather rays to a test ray toward a source that the first few find wholly lit, or wholly hidden
 DIM = 0.02  # a point that gets less than this share of its unoccluded light is tested DIM_TESTS times more
 DIM_TESTS = 16
 
@@ -288,9 +290,10 @@ class Gathering:
         return light.reshape(self._groups, -1, light.shape[1]).sum(axis=0)
 
 
-def light_arrays(points, solution, surfaces, sky):
+def light_arrays(points, solution, surfaces, sky, side):
     """The arrays that cells need to gather at points, as {name: array}. sky: (C, M) exitance of the
-    world, of each cell of its map [W/m^2]."""
+    world, of each cell of its map [W/m^2]. side: (P,) the patch side that each point lies on."""
+    light = solution.irradiance[:, side].max(axis=0)
     # What rays bring, with what comes from beyond last: reflected light, and light no sampled source stands for.
     reflected = np.column_stack([solution.reflected, np.zeros_like(sky)])
     found = np.column_stack([surfaces.found, sky])
@@ -304,6 +307,7 @@ def light_arrays(points, solution, surfaces, sky):
         "gather.reflected": reflected if reflected.any() else nothing,
         "gather.reflectance": surfaces.reflectance,
         "gather.through": through,
+        "gather.level": np.sqrt((points.area * light * light).sum() / max(points.area.sum(), 1e-300)),
         "gather.found": found if found.any() else nothing,
     }
 
@@ -441,6 +445,12 @@ def _direct(kernel, own, rays, tests, seed):
     possible = factor * sources.strength.max(axis=1)
     share = ratio(possible, possible.sum(axis=1, keepdims=True))
     first = np.stack([_tests(kernel, s, position, share[:, s], tests) for s in range(len(sources))], axis=1)
+    # What few tests take for lit whole may be hidden by a hundredth: with more rays, or in the sun of a dim room, that would be
+    # most of the error.
+    sharp = np.array([_sharp(kernel, s) for s in range(len(sources))])
+    bright = np.clip(possible / max(float(kernel.arrays["gather.level"]), 1e-300), 1.0, MOST_TESTS)
+    often = np.maximum(first * bright, rays * tests / UNSEEN * np.sqrt(share)).astype(np.int64)
+    first = np.where(sharp, first, often)
     weight, seen, tested = np.zeros(factor.shape), np.zeros(factor.shape), thread_time()
     for s in range(len(sources)):
         lit = np.flatnonzero(factor[:, s] > 0)

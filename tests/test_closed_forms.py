@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from scenes import Lamp, Material, box, icosphere, join_meshes, solve_scene
+from scenes import Lamp, Material, Settings, bake, box, icosphere, join_meshes, run, sheet, solve_scene
 
 
 def gray(reflectance, exitance=0.0):
@@ -95,3 +95,21 @@ def test_power_is_balanced_after_every_round(cells):
     balance = energy["absorbed_w"] + energy["escaped_w"] + energy["unshot_w"]
     assert balance == pytest.approx(energy["emitted_w"], rel=1e-12)
     assert abs(energy["unshot_w"]) < 0.02 * energy["emitted_w"]
+
+
+def test_a_sliver_of_a_lamp_that_is_hidden_is_found_by_many_rays(cells):
+    """Four tests at points where a plate hides a twentieth of the lamp mostly find all of it: what a few tests settle must
+    not stay settled however many rays follow, or replicates never agree at the rim of a shadow."""
+    plate = sheet("plate", [(0, -2, 1), (0, 2, 1), (2, 2, 1), (2, -2, 1)])
+    floor = sheet("floor", [(-2, -0.1, 0), (2, -0.1, 0), (2, 0.1, 0), (-2, 0.1, 0)], 400, 1)
+    scene = join_meshes([floor, plate], [Material("w", (0, 0, 0))], [Lamp("sun", (3.0,) * 3, (0, 0, 9), angle=0.3)])
+    baked = [
+        run(bake(scene, Settings(gather_rays=8192, pilot_rays=4096, seed=seed, force=("occlusion",)), cells))
+        for seed in range(4)
+    ]
+    points = baked[0].points
+    floor = points.normal[:, 2] * (points.position[:, 2] < 0.5) > 0
+    light = np.stack([b.light.total[0, floor] for b in baked])
+    rim = (light.mean(axis=0) > 0.05) & (light.mean(axis=0) < 2.95)
+    assert rim.sum() > 20
+    assert light[:, rim].std(axis=0).max() < 0.03

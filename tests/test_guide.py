@@ -10,7 +10,7 @@ import pytest
 from cell_radiosity.core import host
 from cell_radiosity.core.bake import bake, run
 from cell_radiosity.core.cells import LocalCells, make_cells
-from cell_radiosity.core.gather import SEEDS, gather_points, light_arrays
+from cell_radiosity.core.gather import SEEDS, gather_points, light_arrays, sides_of
 from cell_radiosity.core.guide import MOST_GROUPS, NOTHING, Guide, bright_sides, make_guide
 from cell_radiosity.core.points import make_points
 from cell_radiosity.core.polygons import polygon_factor
@@ -53,7 +53,9 @@ def lit():
     sides = np.flatnonzero(glows > 0).astype(np.int32)
     guide = Guide(sides, glows[sides] * solved.patches.area[sides >> 1])
     points = make_points(scene, np.zeros(len(scene.polygon_material), bool), cells)
-    arrays = light_arrays(points, replace(solved.solution, guide=guide), solved.surfaces, np.zeros((3, 1)))
+    arrays = light_arrays(
+        points, replace(solved.solution, guide=guide), solved.surfaces, np.zeros((3, 1)), sides_of(points, cells)
+    )
     kernel = cells._kernel.renewed(arrays)
     return kernel, points, guide, solved
 
