@@ -440,7 +440,8 @@ class _Course:
         """How many more control rays are to be traced, 0 for none: if too little is known of what replicates share, where
         their noise is small enough, and if rays help."""
         error, found, rays = self.settings.error, self.estimate, self.control.rays
-        if found.noise > ENOUGH * error or found.doubt > HELP * self._doubt:
+        helped = found.doubt <= HELP * self._doubt or rays < SURE_RAYS  # of few rays, one may weigh too much
+        if found.noise > ENOUGH * error or not helped:
             return 0
         share, wanted = UNSURE, self._rays_wanted() * len(self.points)
         if wanted:  # what is cheaper comes first: to gather more, or to know better whether it must be
