@@ -26,7 +26,7 @@ from .vectors import counted, ratio
 TASK_RAYS = 1 << 15  # of one task: some 10 ms
 TABLES = 64  # direction tables, each turned by a step of its own; a point's shift picks one
 APART = (0.41421356237309503, 0.7320508075688772)  # steps from point to point of the test rays' shifts
-GATHER, TEST, GUIDED = 3, 4, 7  # salts of the sample sequences
+GATHER, TEST = 3, 4  # salts of the sample sequences
 REPLICATES = 12  # with steps of their own
 SEEDS = 1 << 20  # between the seeds of replicates
 
@@ -313,9 +313,9 @@ def light_arrays(points, solution, surfaces, sky, side):
 
 
 def gather_points(kernel, ids, rays, tests, seed, links):
-    """Light at points ids (K,), by `rays` rays and `tests` times the usual test rays: "direct" of sampled sources, "found" by rays and "reflected", (C, K) [W/m^2];
-    "nearness" (K,), the mean inverse distance that their rays went, in scene diagonals; "closest" (K,), the shortest; if `links`, "links" (E,)
-    bool, which of their neighbors they see along the edge."""
+    """Light at points ids (K,), by `rays` rays and `tests` times the usual test rays: "direct" of sampled sources, "found" by
+    rays and "reflected", (C, K) [W/m^2]; "nearness" (K,), the mean inverse distance that their rays went, in scene
+    diagonals; "closest" (K,), the shortest; if `links`, "links" (E,) bool, which of their neighbors they see along the edge."""
     reflected, found = kernel.arrays["gather.reflected"], kernel.arrays["gather.found"]
     count = kernel.sources.strength.shape[1]
     result = {name: np.zeros((count, len(ids))) for name in PARTS}
@@ -358,7 +358,7 @@ class Shooter:
         directions = world_rays(self._tables, ids, normal, self._seed)
         if self._guided:
             aim = Aim(kernel.guide, position, normal)
-            more = aim.rays(position[:, None], *guide_samples(ids, self._guided, self._seed, GUIDED))
+            more = aim.rays(position[:, None], *guide_samples(ids, self._guided, self._seed))
             directions = np.concatenate([directions, more], axis=2)
         origin = np.repeat(kernel.caster.start(position, geometric), self.each, axis=0)
         hit = kernel.hits(origin, directions.reshape(3, -1).T)
@@ -461,7 +461,7 @@ def _direct(kernel, own, rays, tests, seed):
     most = 2 * PENUMBRA * rays * tests
     dim = (possible * ratio(seen, weight)).sum(axis=1) < DIM * possible.sum(axis=1)
     for s in range(len(sources)):
-        if _sharp(kernel, s):
+        if sharp[s]:
             continue
         state = np.where(weight[:, s] > 0, np.sign(seen[:, s]) + (seen[:, s] < weight[:, s]), -1)
         differs = (state[here] != state[there]) & (state[here] >= 0) & (state[there] >= 0)

@@ -29,6 +29,7 @@ SHARP = 1.5  # the same for light that faces emit: the filter keeps away from th
 PAYS = 8.0  # times the rays that guiding costs first must be needed at the points without it, or it does not pay
 SLANT = 0.05  # least cosine that a group is picked with: its middle may be hidden by the horizon, its rim not
 NEAR = 1e-3  # share of the way by which a ray may miss the place that it was sent to
+GUIDED = 0  # salt of the sample sequences
 STEPS = (R2[0], R2[1], GOLDEN)  # from point to point of the samples' shifts
 
 
@@ -50,16 +51,17 @@ def bright_sides(hits, weight, direct, light, found, area, error, points, cost):
     """(2 N,) bool, sides to guide rays to if they can be seen; none if that is not called for at an error.
 
     hits: (K, n) int32 sides that the rays of rows met, cells of the sky as negative numbers; weight, direct: (K,) of each
-    row's side, and irradiance that it has without rays; light: (2 N + M,) of the sides and the sky's cells; found: (2 N,) the part
-    of it that sides emit; area: (2 N,).
-    points: number of points that will be gathered at; cost: rays that it takes to find first what bright sides bring. What a ray
-    brings has a second moment, of which the bright sides have their part; what remains without them must be little beside
-    the variance, and that so much that fewer rays at the points make good for the cost.
+    row's side, and irradiance that it has without rays; light: (2 N + M,) of the sides and the sky's cells; found: (2 N,) the
+    part of it that sides emit; area: (2 N,). points: number of points that will be gathered at; cost: rays that it takes to
+    find first what bright sides bring. What a ray brings has a second moment, of which the bright sides have their part;
+    what remains without them must be little beside the variance, and that so much that fewer rays at the points make good
+    for the cost.
     """
     rays, none = hits.shape[1], np.zeros(len(area), bool)
-    wanted = np.flatnonzero(weight > 0)[:: max(hits.size // LOOK_RAYS, 1)]
+    wanted = np.flatnonzero(weight > 0)
     if rays < 2 or not len(wanted):
         return none
+    wanted = wanted[:: max(len(wanted) * rays // LOOK_RAYS, 1)]
     hits, direct, share = hits[wanted], direct[wanted], weight[wanted] / weight[wanted].sum()
     met = np.take(light, hits, mode="wrap")
     each, sums = np.einsum("kn->k", met * met), np.einsum("kn->k", met)
@@ -80,8 +82,8 @@ def bright_sides(hits, weight, direct, light, found, area, error, points, cost):
 
 
 def make_guide(bright, hits, light, area):
-    """The Guide to those of bright sides (2 N,) bool that rays met: hits (K, n), which have nothing to do with those of any row,
-    or it would lack just what its row has missed. light: (2 N,) of sides, at least."""
+    """The Guide to those of bright sides (2 N,) bool that rays met: hits (K, n), which have nothing to do with those of any
+    row, or it would lack just what its row has missed. light: (2 N,) of sides, at least."""
     seen = np.zeros(len(area), bool)
     seen[hits[hits >= 0]] = True
     seen &= bright
@@ -121,7 +123,7 @@ class Aim:
         directions: (3, K, n + m); normal: (K, 1 or n + m, 3) of the places."""
         guide, n = self._guide, hemisphere_rays
         m = directions.shape[2] - n
-        number = np.where(hit.side >= 0, np.take(guide.number, hit.side, mode="clip"), -1).reshape(-1, n + m)
+        number = guide.numbers(hit.side).reshape(-1, n + m)
         weight = np.zeros(number.shape)
         weight[:, :n] = 1.0 / n
         distance = hit.distance.reshape(number.shape).astype(float)
@@ -166,8 +168,8 @@ class GuideGeometry:
         self._first = np.searchsorted(self.group, np.arange(self.groups))
         strength = np.bincount(self.group, power, self.groups)
         self.share = power / strength[self.group]
-        self.number = np.full(2 * len(patches), -1, np.int32)
-        self.number[self.sides] = np.arange(len(sides))
+        self._number = np.full(2 * len(patches), -1, np.int32)
+        self._number[self.sides] = np.arange(len(sides))
         self._vertices, self._triangles = kernel.vertices, kernel.triangles
 
         def mean(values):
@@ -188,6 +190,10 @@ class GuideGeometry:
         pick = np.clip(np.searchsorted(self._upto, target, side="right") - 1, first, last - 1)
         place = draw_on_patches(self._patches, self.sides[pick.reshape(-1)] >> 1, a.reshape(-1, 1), b.reshape(-1, 1))[0]
         return pick, place.reshape(*pick.shape, 3)
+
+    def numbers(self, side):
+        """(K,) number of sides (K,) that rays met among the guide's, group by group; -1 of all others and the sky."""
+        return np.where(side >= 0, np.take(self._number, side, mode="clip"), -1)
 
     def normals(self, triangle):
         """(K, 3) unit normals of triangles (K,)."""
@@ -214,10 +220,10 @@ class GuideGeometry:
         return rise
 
 
-def guide_samples(ids, count, seed, salt):
+def guide_samples(ids, count, seed):
     """Samples u, a, b (K, count) in [0, 1) of the guided rays of points ids (K,)."""
     place, number = np.asarray(ids, np.int64)[:, None], np.arange(count)
-    shift = scatter(np.arange(3), salt + 8 * seed)
+    shift = scatter(np.arange(3), GUIDED + 8 * seed)
     u = (number + (place * STEPS[2] + shift[0]) % 1.0) / count
     a, b = ((place * STEPS[k] + number * R2[k] + shift[k + 1]) % 1.0 for k in range(2))
     return u, a, b

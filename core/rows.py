@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .guide import Aim
+from .guide import GUIDED, Aim
 from .kernel import blocks
 from .lights import patch_irradiance
 from .patches import draw_on_patches
@@ -18,7 +18,7 @@ from .polygons import polygon_factor
 from .sampling import R4, fraction, hemisphere, lattice4, scatter, tangents
 from .vectors import dot, length, ratio
 
-ROW, DIRECT, SHADOW, GUIDED = 1, 2, 5, 8  # salts: the samples of rows and of direct light have nothing in common
+ROW, DIRECT, SHADOW = 1, 2, 5  # salts: the samples of rows and of direct light have nothing in common
 UNEVEN = 8  # times as many places on patches near a source
 # Gauss-Legendre nodes and weights on [0, 1].
 GAUSS = {
@@ -44,8 +44,8 @@ def trace_rows(kernel, sides, rays, seed):
 
 
 def guide_rows(kernel, sides, rays, seed, light):
-    """{"guided": (C, K)} irradiance [W/m^2] that light (C, G) of the sides that rays are guided to gives patch sides (K,), by the
-    rays of their rows and as many guided ones."""
+    """{"guided": (C, K)} irradiance [W/m^2] that light (C, G) of the sides that rays are guided to gives patch sides (K,), by
+    so many rays over the hemisphere and as many guided ones."""
     guided = np.empty((len(light), len(sides)))
     light = np.column_stack([light[:, kernel.guide.order], np.zeros(len(light))])  # of all others
     for part in blocks(len(sides), 2 * rays):
@@ -59,7 +59,7 @@ def guide_rows(kernel, sides, rays, seed, light):
         origin = kernel.caster.start(position, normal).reshape(-1, 3)
         hit = kernel.hits(origin, direction.reshape(3, -1).T)
         weight = aim.weights(hit, direction, normal, rays)
-        number = np.where(hit.side >= 0, np.take(kernel.guide.number, hit.side, mode="clip"), -1).reshape(weight.shape)
+        number = kernel.guide.numbers(hit.side).reshape(weight.shape)
         for channel, result in zip(light, guided):
             np.einsum("kn,kn->k", weight, np.take(channel, number, mode="wrap"), out=result[part])
     return {"guided": guided}
