@@ -9,10 +9,11 @@ from math import inf
 
 import numpy as np
 
-from ..core.bake import PRICED, bake, price, run
+from ..core.bake import bake, price, run
 from ..core.compare import off_finer, off_reference
 from ..core.health import mend
 from ..core.knobs import knob_values, slope, turns
+from ..core.prices import PRICED
 from ..core.report import price_row, write_json
 from .arguments import add_scene_options, count, make_options, percent
 from .cluster import add_cluster_options, cells_for

@@ -1,6 +1,6 @@
 """Accuracy: how far a bake is from the truth, and what it takes to come closer.
 
-Owns the record `Estimate`, the choice of how many more rays to gather, and the price list. The error of a bake is
+Owns the record `Estimate`, the choice of how many more rays to gather. The error of a bake is
 sqrt(sum A (I - I*)^2 / sum A I*^2), I the irradiance at the points, A their areas, I* the truth.
 
 Two sources feed the estimate. How replicates scatter shows their noise at every point. What replicates share (light
@@ -27,7 +27,6 @@ CERTAIN = 2.0  # and those that must be, before rays are spent against it
 SMALL = 0.4  # noise of this share of what replicates share is as good as none
 MOST_RAYS = 4096  # of one replicate
 WORTH = 0.3  # of the rays so far: fewer in another replicate would not be worth another look
-AGAIN = 1.25  # times the rays that a pilot's noise calls for: at its next look a bake may find that there is more to do
 STEPS_OF_RAYS = (8, 16, 32, 64, 128, 256, 512, 1024)  # of a replicate at some objects
 RARE = 1e-3  # objects darker than this share of the scene's mean are not looked at one by one
 
@@ -157,29 +156,3 @@ def noise_after(noise, rays, more):
     variance fall with about the power -1.375 of their number (measured on nine scenes)."""
     x = rays / (rays + more)
     return noise * noise * x * np.sqrt(np.sqrt(x)) * np.sqrt(np.sqrt(np.sqrt(x)))
-
-
-@dataclass(frozen=True)
-class Price:
-    """What an error costs: error asked for, wall seconds of survey, patches, transport and gather, memory [MB] of host and
-    cells, and gather rays a point, as the pilot foretells them."""
-
-    error: float
-    seconds: float
-    memory_mb: float
-    rays: int
-
-
-def price_of(error, estimate, gathering, work, spent, rate, control, memory_mb):
-    """The Price of an error, from the Estimate of a pilot and its Gathering. work: of patches and rows, as a multiple of the
-    pilot's; spent: (seconds that grow with it, all others); rate: seconds that another replicate takes at all points however
-    few its rays, and that each of its rays takes; control: seconds that its control takes more."""
-    rays = int(gathering.rays.max(initial=0))
-    more = int(AGAIN * rays_wanted(estimate, rays, error))
-    points = 3e-5 * len(gathering.points) * (more > 0)  # of one more replicate [MB]
-    return Price(
-        error,
-        work * spent[0] + spent[1] + rate[0] * (more > 0) + rate[1] * more + control,
-        memory_mb * (1 + work) / 2 + points,
-        rays + more,
-    )

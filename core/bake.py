@@ -5,27 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
-from math import inf, log, sqrt
-from time import perf_counter, process_time, thread_time
+from math import inf, log
+from time import perf_counter
 
 import numpy as np
 
-from .accuracy import (
-    AIM,
-    CROWDED,
-    ENOUGH,
-    MOST_RAYS,
-    SMALL,
-    Estimate,
-    estimate_error,
-    price_of,
-    rays_by_object,
-    rays_wanted,
-)
-from .cells import LocalCells, peak_memory
+from .accuracy import CROWDED, MOST_RAYS, Estimate, estimate_error, rays_by_object, rays_wanted
+from .cells import LocalCells
+from .choices import control_points, control_rays, eased, finer, more_control
+from .clock import Clock
 from .contacts import cut_contacts
 from .control import Control, Traced, draw_control
-from .costs import ROWS, with_costs
+from .costs import with_costs
 from .effects import Survey, simplified, survey
 from .gather import Gathering, Light, light_arrays, patch_light, sides_of
 from .groups import Groups, make_groups, scaled, weighted
@@ -35,9 +26,10 @@ from .kernel import cast_arrays, transport_arrays
 from .lights import emitting_polygons, make_sources
 from .occlusion import find_openness
 from .paper import solve_paper
-from .patches import Patches, count_patches, make_patches, patch_of_hit, patch_size
+from .patches import Patches, make_patches, patch_of_hit, patch_size
 from .placing import refill, thin_findings
 from .points import Points, make_points
+from .prices import PRICED, Pilot, price_list
 from .records import from_arrays, to_arrays
 from .scene import Scene, World
 from .settings import Settings
@@ -47,24 +39,11 @@ from .surfaces import make_surfaces
 
 ROUGH_RAYS = 32  # of a point, to tell where a mesh must be finer
 FINER = 1.5  # times shorter are patches where the usual ones alone keep a bake from its error
-EASED, EASED_FINE = 4.0, 2.0  # times the length of patches where nothing casts a shadow; the latter below 1 % error
-PRICED = (0.1, 0.05, 0.02, 0.01, 0.005)  # errors of the price list
 IN_TIME = 0.9  # of the time that is left is spent on another replicate
 PLACED = 100_000  # points that are foreseen where they do not lie on the scene's vertices
 PILOT = 2  # replicates of the pilot: how they scatter shows their noise
-ANY_RAYS = 0.9  # of the seconds of a small replicate's test rays: they are spent for whatever number of rays
-CONTROL_POINTS = 320
-EACH_OBJECT = 24  # of them, if every object is to reach the error
-MOST_CONTROL_POINTS = 2000
 MOST_REPLICATES = 40  # where objects are gathered one by one
-CONTROL_RAYS = ((0.03, 16), (0.015, 32), (0.0, 64))  # of each truth at first, from an error on
-SURE_RAYS = 64  # with so many, doubts far below the error asked for do not matter
-MOST_CONTROL_RAYS = 1024
-UNSURE = 0.7  # of the square of the noise: a doubt above that asks for more control rays
-UNSURE_ABOVE = 0.15  # the same, where the error asked for seems out of reach of what was gathered
 SOLVED = 0.25  # of the error asked for: a known transport whose bound is below that is good enough
-HELP = 0.7  # of its doubt may be left after twice as many control rays; with more they are of no use
-CONTROL_COST = 6  # gather rays that a control ray costs: those of both truths, each with a test ray and one more
 
 
 @dataclass(frozen=True)
@@ -182,14 +161,14 @@ class _Course:
 
     def __init__(self, scene, settings, cells, place=None, groups=None, state=None):
         self.cells, self._place, self.groups, self._known = cells, place, groups, state
-        self.clock = _Clock(cells)
+        self.clock = Clock(cells)
         self.scene = self.written = scene
         self.survey = self._surveyed(settings)
-        self.settings = _eased(settings, self.survey)
+        self.settings = eased(settings, self.survey)
         self._coarse = False
         if state:
-            eased, self.settings = self.settings, state.knobs(settings)
-            self._coarse = _finer(eased, self.settings)
+            usual, self.settings = self.settings, state.knobs(settings)
+            self._coarse = finer(usual, self.settings)
         self.solution = self.points = self.side = self.gathering = self.control = self.estimate = self.openness = None
         self._places, self._round, self._solved = None, None, settings.error
         self._bounds, self._doubt, self.price = [], inf, state.price if state else ()
@@ -215,7 +194,7 @@ class _Course:
         """The whole path to light with the error asked for, or as near to it as rays at points come."""
         yield from self.transport()
         yield from self.pilot()
-        self.price = self.price or self.prices(PRICED)
+        self.price = self.price or self.prices()
         while wanted := self.wanted():
             self.ask(wanted)
             yield from self.gather()
@@ -225,7 +204,7 @@ class _Course:
     def too_coarse(self):
         """Whether patches alone keep the bake from its error for certain, where they have the length that is usual for it."""
         settings, found, error = self.settings, self.estimate, self.settings.error
-        usual = _eased(Settings.for_error(error, per_object=settings.per_object), self.survey)
+        usual = eased(Settings.for_error(error, per_object=settings.per_object), self.survey)
         if found is None or self._coarse or self._timed or settings.gather_rays is not None:
             return False
         if (settings.patch_edge, settings.graded, settings.rows) != (usual.patch_edge, usual.graded, usual.rows):
@@ -309,10 +288,8 @@ class _Course:
             self.ask([(self.settings.pilot_rays, None)])
             yield from self.gather()
         if len(self.points) and self.control is None:
-            each, count = self.settings.per_object, CONTROL_POINTS
-            if each:
-                objects = len(np.unique(self.points.object))
-                count = min(max(count, EACH_OBJECT * objects), MOST_CONTROL_POINTS)
+            each = self.settings.per_object
+            count = control_points(len(np.unique(self.points.object)) if each else 0)
             drawn = draw_control(self.points, self._light().total, count, each)
             traced = Traced(rounds=self._known.traced.rounds) if self._known and self._known.traced else None
             self.control = Control(*drawn, self.cells, self.settings, self._group_count, traced)
@@ -355,57 +332,29 @@ class _Course:
             self._gather_seconds += perf_counter() - begun
             self._gather_rays += self.gathering.mean_rays - before
 
-    def prices(self, errors):
+    def prices(self, errors=PRICED):
         """A tuple of Price for each of the errors, after the pilot."""
         if self.estimate is None:
             return ()
-        seconds, used = self._seconds(), self.clock.cells()
-        rate = self._replicate_price(seconds)
-        grows = seconds["patches"] + seconds["transport"]
-        spent = grows, sum(seconds[p] for p in ("survey", "patches", "transport")) - grows
-        memory = used["host_mb"] + sum(used["cells_mb"])
-        work = self._row_work(errors)
-        return tuple(
-            price_of(error, self.estimate, self.gathering, w, spent, rate, self._control_price(error), memory)
-            for error, w in zip(errors, work)
+        used, control = self.clock.cells(), self.control
+        return price_list(
+            Pilot(
+                scene=self.scene,
+                settings=self.settings,
+                survey=self.survey,
+                estimate=self.estimate,
+                points=len(self.points),
+                rays=int(self.gathering.rays.max(initial=0)),
+                replicates=len(self.gathering.gathered.replicates),
+                control_rays=control.rays,
+                control_rate=self._control_seconds / max(self._control_rays, 1),
+                seconds=self._seconds(),
+                parts=self.clock.parts(),
+                solve=self.clock.watched,
+                memory_mb=used["host_mb"] + sum(used["cells_mb"]),
+            ),
+            errors,
         )
-
-    def _replicate_price(self, seconds):
-        """Seconds that another replicate takes however few its rays, and that each of its rays takes: most of the test rays
-        toward sources are cast in any case."""
-        parts, count = self.clock.parts(), max(len(self.gathering.gathered.replicates), 1)
-        tests = parts.get("sources", 0.0) / max(parts.get("gather", 0.0), 1e-9)
-        fixed = ANY_RAYS * min(tests, 1.0) * seconds["replicates"] / count
-        return fixed, (seconds["replicates"] - count * fixed) / max(seconds["rays"], 1e-9)
-
-    def _control_price(self, error):
-        """Seconds that the control will take more, if an error is to be known that is not there: its doubt falls with its rays."""
-        if self.estimate.total <= ENOUGH * error and error >= self.settings.error:
-            return 0.0
-        have = self.control.rays
-        wanted = have * self.estimate.doubt / (UNSURE * (AIM * error) ** 2)
-        rays = max(have, _control_rays(replace(self.settings, error=error)))
-        while rays < min(wanted, MOST_CONTROL_RAYS):
-            rays *= 2
-        return (rays - have) * self._control_seconds / max(self._control_rays, 1)
-
-    def _row_work(self, errors):
-        """What patches and rows cost at the errors, as multiples of what they do at the settings of this bake."""
-        if self.settings.patch_edge is None:
-            return [1.0] * len(errors)
-        knobs = [self.settings, *(_eased(Settings.for_error(error), self.survey) for error in errors)]
-        sizes = [patch_size(self.scene, k) for k in knobs]
-        different = sorted(set(sizes))
-        count = dict(zip(different, count_patches(self.scene, different)))
-        # Direct light takes as long as there are patches; rows take longer the longer they are.
-        parts, solve = self.clock.parts(), self.clock.watched
-        direct = parts.get("direct", 0.0)
-        rows = sum(parts.get(name, 0.0) for name in ROWS) + solve
-        direct /= max(direct + rows, 1e-9)
-        own, *others = (
-            (direct + (1 - direct) * sqrt(k.row_rays / knobs[0].row_rays)) * count[s] for k, s in zip(knobs, sizes)
-        )
-        return [work / max(own, 1.0) for work in others]
 
     def _seconds(self):
         """{phase: seconds} spent so far, also by the bake that is carried on; "replicates": on `rays` gather rays."""
@@ -418,13 +367,13 @@ class _Course:
             return
         if self.control.under_way:
             yield from self._trace(self.control.complete())
-        short = _control_rays(self.settings) - self.control.rays
+        short = control_rays(self.settings) - self.control.rays
         if short > 0:
             yield from self._trace(self.control.trace(short))
         self._estimate()
         # More rays where the control itself is in doubt, as long as they help; above all before rays are spent at all
         # points against what may be chance.
-        while self.control.rays < MOST_CONTROL_RAYS and (more := self._more_control()):
+        while more := self._more_control():
             self._doubt = self.estimate.doubt
             yield from self._trace(self.control.trace(more))
             self._estimate()
@@ -437,20 +386,10 @@ class _Course:
         self._control_rays += self.control.rays - before
 
     def _more_control(self):
-        """How many more control rays are to be traced, 0 for none: if too little is known of what replicates share, where
-        their noise is small enough, and if rays help."""
-        error, found, rays = self.settings.error, self.estimate, self.control.rays
-        helped = found.doubt <= HELP * self._doubt or rays < SURE_RAYS  # of few rays, one may weigh too much
-        if found.noise > ENOUGH * error or not helped:
-            return 0
-        share, wanted = UNSURE, self._rays_wanted() * len(self.points)
-        if wanted:  # what is cheaper comes first: to gather more, or to know better whether it must be
-            share = UNSURE_ABOVE
-            if wanted < CONTROL_COST * rays * len(self.control.ids):
-                return 0
-        # What is known at little cost is known well beside the noise; beyond that, beside what was asked for.
-        least = SMALL * error if rays >= SURE_RAYS else 0.0
-        return rays if found.doubt > share * max(found.noise, least) ** 2 else 0
+        """How many more control rays are to be traced, 0 for none."""
+        wanted = self._rays_wanted() * len(self.points)
+        spent = self.control.rays * len(self.control.ids)
+        return more_control(self.estimate, self.settings.error, self.control.rays, self._doubt, wanted / max(spent, 1))
 
     def _estimate(self):
         free = self.gathering.gathered.closest > CROWDED
@@ -661,31 +600,6 @@ class _Course:
         return Progress(phase, done, self.clock.total(), self.clock.rays(), state=self.state, **more)
 
 
-def _control_rays(settings):
-    """Rays of each truth at first: as many as the error asked for calls for; more follow where they do not do."""
-    error = 0.0 if settings.per_object else settings.error
-    return next(rays for least, rays in CONTROL_RAYS if error >= least)
-
-
-def _eased(settings, found):
-    """Settings for a room in which nothing casts a shadow, unless patches were asked for: light then varies as slowly as
-    the room is wide, so patches several times as long, with rows of twice the rays, do as well."""
-    usual = Settings.for_error(settings.error)
-    if any(found.needs(name) for name in ("occlusion", "sky", "textures", "transparency")):
-        return settings
-    if settings.patch_edge != usual.patch_edge or settings.rows != "rays":
-        return settings
-    longer = EASED if settings.error >= 0.01 else EASED_FINE
-    return replace(settings, patch_edge=longer * settings.patch_edge, row_rays=2 * settings.row_rays)
-
-
-def _finer(wanted, settings):
-    """Whether wanted Settings have smaller patches, or longer rows, than others."""
-    if wanted.patch_edge is None or settings.patch_edge is None:
-        return False
-    return wanted.patch_edge < settings.patch_edge or wanted.row_rays > settings.row_rays
-
-
 def _surfaces(scene, patches, sampled, found, sky):
     """The Surfaces of patches, and exitance (C, M) of the sky, without what the survey found to be left out."""
     surfaces = make_surfaces(simplified(scene, found), patches, sampled)
@@ -718,63 +632,3 @@ def _each(generator, progress):
         return end.value
     finally:
         generator.close()
-
-
-class _Clock:
-    """Wall and CPU seconds of the phases of one bake, and what its cells used, which may have worked before."""
-
-    def __init__(self, cells):
-        self._cells, self._usage = cells, cells.usage.snapshot()
-        self._restarted = cells.restarted
-        self._begun = self._lap = perf_counter()
-        self._cpu = process_time()
-        self._phases, self.watched = {}, 0.0
-
-    def watch(self, generator):
-        """Yield what a generator yields and return what it returns; `watched` are the CPU seconds of this thread in it,
-        without those of cells that work here."""
-        try:
-            while True:
-                begun, here = thread_time(), self._cells.usage.here
-                try:
-                    item = next(generator)
-                except StopIteration as end:
-                    return end.value
-                finally:
-                    self.watched += thread_time() - begun - (self._cells.usage.here - here)
-                yield item
-        finally:
-            generator.close()
-
-    def lap(self, phase):
-        """Add the time since the last lap to a phase."""
-        now = perf_counter()
-        self._phases[phase], self._lap = self._phases.get(phase, 0.0) + now - self._lap, now
-
-    def total(self):
-        return perf_counter() - self._begun
-
-    def rays(self):
-        return self._cells.usage.rays - self._usage.rays
-
-    def parts(self):
-        """{part of the cells' work: CPU seconds}."""
-        before = self._usage.parts
-        return {part: seconds - before.get(part, 0.0) for part, seconds in self._cells.usage.parts.items()}
-
-    def seconds(self):
-        used, before = self._cells.usage, self._usage
-        here = process_time() - self._cpu
-        cpu = here + used.cpu - before.cpu - (used.here - before.here)
-        phases = dict.fromkeys(("survey", "patches", "transport", "gather"), 0.0)
-        return {**phases, **self._phases, "cpu": cpu, "embree_cpu": used.embree - before.embree}
-
-    def cells(self):
-        """Number of cells, restarts, and peak memory [MB] of the host and of each cell."""
-        memory = {k: v for k, v in self._cells.usage.memory.items() if k != "host"}
-        return dict(
-            count=self._cells.count,
-            restarted=self._cells.restarted - self._restarted,
-            host_mb=peak_memory(),
-            cells_mb=list(memory.values()),
-        )

@@ -16,7 +16,6 @@ from math import inf
 
 import numpy as np
 
-from .accuracy import Price
 from .control import Traced
 from .effects import Effect, Survey
 from .gather import Gathered, Replicate
@@ -25,6 +24,7 @@ from .guide import Guide
 from .health import Finding
 from .host import ENDLESS, AnalyticRows, RayRows, Round, Solution, joined_rows
 from .patches import Patches
+from .prices import Price
 from .records import from_arrays, to_arrays
 from .saving import written_whole
 from .settings import Settings

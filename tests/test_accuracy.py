@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from cell_radiosity.core import prices
 from cell_radiosity.core.accuracy import (
-    AGAIN,
     AIM,
     AIM_EACH,
     Estimate,
     noise_after,
-    price_of,
     rays_by_object,
     rays_wanted,
 )
 from cell_radiosity.core.bake import _Course, price
 from cell_radiosity.core.cells import LocalCells
+from cell_radiosity.core.prices import AGAIN, Pilot, price_list, replicate_seconds
 
 from scenes import Material, Settings, bake, box, join_meshes, run, sheet
 
@@ -99,40 +99,60 @@ def test_price_list_is_the_pilots():
     assert all(r.memory_mb > 0 for r in rows)
 
 
-def test_a_price_is_made_of_what_grows_and_what_does_not():
+def piloted(error=0.03, patch_edge=None, parts=(), **found):
+    """What a pilot may have found out."""
+    usual = dict(scene=None, settings=Settings(patch_edge=patch_edge, error=error), survey=None, points=1000, rays=16,
+                 replicates=2, control_rays=64, control_rate=0.001, solve=0.0, memory_mb=100.0, parts=dict(parts),
+                 estimate=Estimate(total=error, noise=error))  # fmt: skip
+    return Pilot(**{**usual, **found})
+
+
+def test_a_price_is_made_of_what_grows_and_what_does_not(monkeypatch):
     """Patches and rows by their work; a replicate by what it takes at all and by its rays; nothing for one that there is
     not."""
-    gathering = SimpleNamespace(rays=np.array([8.0, 16.0]), points=range(1000))
-    known = Estimate(total=0.03, noise=0.03)
-
-    def of(error, rate=(0.5, 0.01)):
-        return price_of(error, known, gathering, 3.0, (2.0, 4.0), rate, 0.25, 100.0)
-
-    assert of(0.05).rays == 16
-    assert of(0.05).seconds == 3 * 2.0 + 4.0 + 0.25
-    more = of(0.01).rays - 16
-    assert more == int(AGAIN * rays_wanted(known, 16, 0.01))
-    assert of(0.01).seconds == pytest.approx(3 * 2.0 + 4.0 + 0.25 + 0.5 + 0.01 * more)
+    seconds = {"survey": 4.0, "patches": 0.5, "transport": 1.5, "replicates": 2.0, "rays": 16.0}
+    pilot = piloted(seconds=seconds, parts={"gather": 10.0, "sources": 8.0})
+    monkeypatch.setattr(prices, "row_work", lambda pilot, errors: [3.0] * len(errors))
+    enough, less = price_list(pilot, (0.05, 0.01))
+    assert (enough.error, enough.rays) == (0.05, 16)
+    assert enough.seconds == 3 * 2.0 + 4.0
+    more = less.rays - 16
+    assert more == int(AGAIN * rays_wanted(pilot.estimate, 16, 0.01))
+    fixed, each = replicate_seconds(pilot)
+    assert less.seconds == pytest.approx(3 * 2.0 + 4.0 + fixed + each * more)
+    assert less.memory_mb > enough.memory_mb == 200.0
+    doubtful = replace(pilot, estimate=replace(pilot.estimate, doubt=0.03**2))
+    assert price_list(doubtful, (0.01,))[0].seconds > less.seconds + 0.001 * 64
 
 
 def test_test_rays_are_foretold_once_for_a_replicate_of_many_rays():
     """A replicate of 20 times the rays costs far less than 20 times as much where test rays toward many lamps are most of
     it: what is foretold is the same share of the time that the pilot's replicates took."""
-    course = _Course(furnished(), Settings(), LocalCells())
-    course.gathering = SimpleNamespace(gathered=SimpleNamespace(replicates=[None, None]))
-    course.clock.parts = lambda: {"gather": 10.0, "sources": 8.0}
-    fixed, each = course._replicate_price({"replicates": 2.0, "rays": 16.0})
+    pilot = piloted(seconds={"replicates": 2.0, "rays": 16.0}, parts={"gather": 10.0, "sources": 8.0})
+    fixed, each = replicate_seconds(pilot)
     assert 2 * fixed + 16 * each == pytest.approx(2.0)
     assert 0.6 < fixed < 0.8
-    course.clock.parts = lambda: {"gather": 10.0}
-    assert course._replicate_price({"replicates": 2.0, "rays": 16.0}) == (0.0, 0.125)
+    assert replicate_seconds(replace(pilot, parts={"gather": 10.0})) == (0.0, 0.125)
 
 
-def test_a_time_is_used_and_kept():
-    """Counted in rays: a longer time takes more of them, and ends by the clock of the bake itself."""
-    short, long = (baked(seconds=s, error=0.02) for s in (0.6, 2.0))
-    assert long.rays > 1.5 * short.rays
-    assert long.estimate.total < short.estimate.total
+def timed(seconds, monkeypatch):
+    """The rays of a point in a bake of so many seconds, by a clock on which a ray of every point takes a hundredth."""
+    course = _Course(furnished(), Settings(seconds=seconds, error=0.02), LocalCells())
+
+    def rays():
+        return course.gathering.mean_rays if course.gathering else 0.0
+
+    monkeypatch.setattr(course.clock, "total", lambda: 0.01 * rays())
+    monkeypatch.setattr(course, "_seconds", lambda: {"rays": 100.0, "replicates": 1.0})
+    course.price = ("known",)
+    run(course.through())
+    return rays()
+
+
+def test_a_time_is_used_and_kept(monkeypatch):
+    """A longer time takes more rays; none takes longer than it was given, and little of it is left."""
+    for seconds in (1.0, 4.0):
+        assert 0.8 * seconds < 0.01 * timed(seconds, monkeypatch) <= seconds
 
 
 def test_rays_wanted():

@@ -1,0 +1,66 @@
+"""What a bake is given at first for the error asked for: the length of its patches, and its control."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from .accuracy import ENOUGH, SMALL
+from .settings import Settings
+
+EASED, EASED_FINE = 4.0, 2.0  # times the length of patches where nothing casts a shadow; the latter below 1 % error
+CONTROL_POINTS = 320
+EACH_OBJECT = 24  # of them, if every object is to reach the error
+MOST_CONTROL_POINTS = 2000
+CONTROL_RAYS = ((0.03, 16), (0.015, 32), (0.0, 64))  # of each truth at first, from an error on
+SURE_RAYS = 64  # with so many, doubts far below the error asked for do not matter
+MOST_CONTROL_RAYS = 1024
+UNSURE = 0.7  # of the square of the noise: a doubt above that asks for more control rays
+UNSURE_ABOVE = 0.15  # the same, where the error asked for seems out of reach of what was gathered
+HELP = 0.7  # of its doubt may be left after twice as many control rays; with more they are of no use
+CONTROL_COST = 6  # gather rays that a control ray costs: those of both truths, each with a test ray and one more
+
+
+def eased(settings, found):
+    """Settings for a room in which nothing casts a shadow, unless patches were asked for: light then varies as slowly as
+    the room is wide, so patches several times as long, with rows of twice the rays, do as well."""
+    usual = Settings.for_error(settings.error)
+    if any(found.needs(name) for name in ("occlusion", "sky", "textures", "transparency")):
+        return settings
+    if settings.patch_edge != usual.patch_edge or settings.rows != "rays":
+        return settings
+    longer = EASED if settings.error >= 0.01 else EASED_FINE
+    return replace(settings, patch_edge=longer * settings.patch_edge, row_rays=2 * settings.row_rays)
+
+
+def finer(wanted, settings):
+    """Whether wanted Settings have smaller patches, or longer rows, than others."""
+    if wanted.patch_edge is None or settings.patch_edge is None:
+        return False
+    return wanted.patch_edge < settings.patch_edge or wanted.row_rays > settings.row_rays
+
+
+def control_rays(settings):
+    """Rays of each truth at first: as many as the error asked for calls for; more follow where they do not do."""
+    error = 0.0 if settings.per_object else settings.error
+    return next(rays for least, rays in CONTROL_RAYS if error >= least)
+
+
+def control_points(objects=0):
+    """How many control points; objects: how many there are, if each is to reach the error, else 0."""
+    return min(max(CONTROL_POINTS, EACH_OBJECT * objects), MOST_CONTROL_POINTS)
+
+
+def more_control(found, error, rays, doubt, wanted):
+    """How many more control rays are to be traced, 0 for none: if too little is known of what replicates share, where
+    their noise is small enough, and if rays help. found: the Estimate; rays: of each truth so far; doubt: before the last
+    of them; wanted: rays of another replicate at all points, for each control ray so far."""
+    helped = found.doubt <= HELP * doubt or rays < SURE_RAYS  # of few rays, one may weigh too much
+    if rays >= MOST_CONTROL_RAYS or found.noise > ENOUGH * error or not helped:
+        return 0
+    # What is cheaper comes first: to gather more, or to know better whether it must be.
+    if 0 < wanted < CONTROL_COST:
+        return 0
+    # What is known at little cost is known well beside the noise; beyond that, beside what was asked for.
+    least = SMALL * error if rays >= SURE_RAYS else 0.0
+    share = UNSURE_ABOVE if wanted else UNSURE
+    return rays if found.doubt > share * max(found.noise, least) ** 2 else 0
