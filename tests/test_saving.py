@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import os
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -70,3 +73,57 @@ def test_links_and_devices(tmp_path):
     with written_whole(os.devnull) as temporary:
         assert temporary == os.devnull
     assert not os.path.isfile(os.devnull)
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from cell_radiosity.core import saving
+with getattr(saving, sys.argv[1])(sys.argv[2], ".x") as temporary:
+    Path(temporary).write_text("half")
+    os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals of Unix")
+@pytest.mark.parametrize("written", [written_whole, written_together])
+def test_what_a_killed_process_left_goes_with_the_next_write(tmp_path, written):
+    """And nothing else: not what is being written, nor what was of late, nor files of others that are called alike."""
+    path = tmp_path / "f(1).x"
+    done = subprocess.run([sys.executable, "-c", KILLED, written.__name__, path])
+    assert done.returncode == -signal.SIGKILL
+    (left,) = tmp_path.iterdir()
+    end = "" if left.is_dir() else ".x"
+    gone, alive = left.name.removeprefix("f(1).x.tmp").removesuffix(end), os.getppid()
+    names = [
+        f"f(1).x.tmp{alive}{end}",
+        f"f(1).x.tmp{gone}.y",
+        f"f(1).x.tmp{end}",
+        f"g(1).x.tmp{gone}{end}",
+        f"f(1).x.{gone}",
+    ]
+    for name in names:
+        (tmp_path / name).write_text("kept")
+
+    def write(text):
+        with written(path, ".x") as temporary:
+            Path(temporary).write_text(text)
+
+    write("one")  # it is too young to be surely left
+    assert contents(tmp_path).keys() == {path.name, left.name, *names}
+    for each in (*tmp_path.iterdir(), *(left.iterdir() if left.is_dir() else ())):
+        os.utime(each, (0, 0))
+    write("two")
+    assert contents(tmp_path) == {path.name: "two", **dict.fromkeys(names, "kept")}
+
+
+def test_a_folder_of_the_own_number_is_in_nobodys_way(tmp_path):
+    """Numbers of processes come again."""
+    left = tmp_path / f"f.tmp{os.getpid()}"
+    left.mkdir()
+    (left / "half").write_text("half")
+    for each in (left / "half", left):
+        os.utime(each, (0, 0))
+    with written_together(tmp_path / "f") as temporary:
+        Path(temporary).write_text("new")
+    assert contents(tmp_path) == {"f": "new"}
