@@ -66,6 +66,7 @@ class DaskCells(Cells):
     """
 
     in_turn = True
+    flow_each = 64  # enough for Dask's tasks that are under way, and as many again
     _identity = staticmethod(identity)  # of the host
 
     def __init__(self, client, started=None, allow_mixed=False):

@@ -292,7 +292,7 @@ class _Course:
             count = control_points(len(np.unique(self.points.object)) if each else 0)
             drawn = draw_control(self.points, self._light().total, count, each)
             traced = Traced(rounds=self._known.traced.rounds) if self._known and self._known.traced else None
-            self.control = Control(*drawn, self.cells, self.settings, self._group_count, traced)
+            self.control = Control(self.points, *drawn, self.cells, self.settings, self._group_count, traced)
         yield from self.look()
         self.clock.lap("survey")
 
@@ -307,7 +307,9 @@ class _Course:
         if known and known.openness and known.openness[0] == self.settings.occlusion:
             self.openness = known.openness[1]
         if known and known.control is not None and known.each_object >= self.settings.per_object:
-            self.control = Control(*known.control, self.cells, self.settings, self._group_count, known.traced)
+            self.control = Control(
+                self.points, *known.control, self.cells, self.settings, self._group_count, known.traced
+            )
 
     def _gathering(self, points, side, gathered=None):
         """A Gathering at points, (P,) on patch sides."""

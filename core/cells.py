@@ -32,7 +32,6 @@ from .tasks import TASKS
 BOOT = os.path.join(os.path.dirname(os.path.abspath(__file__)), "cell_boot.py")
 AHEAD = 3  # tasks that a cell holds at a time, so that it never waits for the host,
 LAST = 2  # and when there are fewer tasks left than cells
-FLOW = 2 * AHEAD  # tasks of a flow for each cell
 APART = 1 << 16  # bytes of an array from which on it is sent without a copy
 LOOK = 8  # tasks from one look at the memory used to the next: a look takes half a millisecond
 PATIENCE = 20.0  # seconds without a sign of life from a cell that has work, after which it is replaced
@@ -73,10 +72,12 @@ class Cells:
     """What all kinds of cells have in common.
 
     count: how many work at a time. restarted: how many were replaced. note: why they are not what was asked for, or "".
-    in_turn: whether start arrays reach one cell after the other, not all at the same time.
+    in_turn: whether start arrays reach one cell after the other, not all at the same time. flow_each: tasks of a flow that
+    are made ahead for each cell.
     """
 
     in_turn = False
+    flow_each = 2 * AHEAD
 
     def __init__(self):
         self.count, self.restarted, self.note = 1, 0, ""
@@ -120,7 +121,7 @@ class Cells:
         waiting = deque()
         for arguments in each:
             waiting.append(self.submit(name, **arguments))
-            if len(waiting) > FLOW * self.count:
+            if len(waiting) > self.flow_each * self.count:
                 yield from self.take([waiting.popleft()])
         yield from self.take(list(waiting))
 

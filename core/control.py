@@ -16,6 +16,7 @@ from .anew import read_light, reflect_anew
 from .gather import SEEDS, TASK_RAYS, Shooter, weighted_sum
 from .kernel import blocks
 from .lights import test_rays
+from .points import Block, block_arrays
 from .sampling import R2, R5, fraction, scatter
 from .vectors import ratio
 
@@ -45,9 +46,10 @@ class Control:
     rays bring if they read the patches that they meet. rays: of each truth so far. traced: all that, as Traced.
     """
 
-    def __init__(self, ids, weight, cells, settings, groups=1, traced=None):
-        """groups: number of light groups, whose light is put together. traced: to go on from."""
-        self.ids, self.weight, self._cells, self._settings, self._groups = ids, weight, cells, settings, groups
+    def __init__(self, points, ids, weight, cells, settings, groups=1, traced=None):
+        """points: of all of which ids are some. groups: number of light groups, whose light is put together. traced: to go on from."""
+        self._points, self.ids, self.weight, self._cells = points, ids, weight, cells
+        self._settings, self._groups = settings, groups
         self.traced = traced or Traced()
 
     def trace(self, rays):
@@ -62,7 +64,10 @@ class Control:
         size = max(TASK_RAYS // (3 * rays + min(rays, DIRECT_TESTS)), 1)
         tasks = [
             self._cells.submit(
-                "control", ids=self.ids[k : k + size], rays=rays, seed=self._settings.seed + SEEDS * (APART + seed)
+                "control",
+                rays=rays,
+                seed=self._settings.seed + SEEDS * (APART + seed),
+                **block_arrays(self._points, self.ids[k : k + size], joined=False),
             )
             for number, seed in enumerate((2 * rounds, 2 * rounds + 1))
             for k in range(min(max(done - number * count, 0), count), count, size)
@@ -109,20 +114,20 @@ def draw_control(points, light, count, per_object):
     return ids.astype(np.int32), ratio(points.area[ids] * times, chance)
 
 
-def control_points(kernel, ids, rays, seed):
-    """{"truth", "patches": (C, K)} the light of points ids (K,) by rays that go on, and how much more the same rays bring
-    when they read the patches that they meet [W/m^2]."""
+def control_points(kernel, rays, seed, **points):
+    """{"truth", "patches": (C, K)} the light of the K points of a Block by rays that go on, and how much more the same rays
+    bring when they read the patches that they meet [W/m^2]."""
+    points = Block(**points)
     reflected, found = kernel.arrays["gather.reflected"], kernel.arrays["gather.found"]
-    truth = _direct(kernel, ids, min(rays, DIRECT_TESTS), seed)
+    truth = _direct(kernel, points, min(rays, DIRECT_TESTS), seed)
     patches = np.zeros_like(truth)
-    shooter = Shooter(kernel, rays, seed)
-    for part in blocks(len(ids), shooter.each):
-        own = ids[part]
-        hit, weight = shooter.shoot(own)
+    shooter = Shooter(kernel, points, rays, seed)
+    for part in blocks(len(points), shooter.each):
+        hit, weight = shooter.shoot(part)
         counts = (hit.side >= 0) & (weight.reshape(-1) > 0)
         emitted = read_light(found, hit.side)
         deeper = np.zeros((len(reflected), len(counts)))
-        samples = _samples(own, shooter.each, seed)[:, counts]
+        samples = _samples(points.ids[part], shooter.each, seed)[:, counts]
         deeper[:, counts] = reflect_anew(kernel, hit, np.flatnonzero(counts), samples)
         flat = np.where(counts, read_light(reflected, hit.side), 0.0)
         truth[:, part] += weighted_sum(emitted + deeper, weight)
@@ -136,20 +141,20 @@ def _samples(ids, rays, seed):
     return fraction(shift.T[:, :, None] + R5[:, None, None] * np.arange(rays)).reshape(5, -1)
 
 
-def _direct(kernel, ids, tests, seed):
-    """(C, K) light of the sampled sources at points ids (K,) [W/m^2], from many test rays: `tests` to one that gives all, and
+def _direct(kernel, points, tests, seed):
+    """(C, K) light of the sampled sources at the points of a Block [W/m^2], from many test rays: `tests` to one that gives all, and
     fewer to those that give less."""
-    sources, points = kernel.sources, kernel.points
+    sources, ids = kernel.sources, points.ids
     light = np.zeros((sources.strength.shape[1], len(ids)))
     if not len(sources):
         return light
-    position, normal, geometric = points.position[ids], points.normal[ids], points.geometric[ids]
+    position, normal, geometric = points.position, points.normal, points.geometric
     start = kernel.caster.start(position, geometric)
-    factor = kernel.factors_at(ids).T
+    factor = kernel.factors_at(points).T
     given = np.array([f.sum() * sources.strength[s].max() for s, f in enumerate(factor)])
     share = np.sqrt(given / max(given.sum(), 1e-300))
     for s in range(len(sources)):
-        if not kernel.occluded and (normal == geometric).all():
+        if not kernel.occluded and points.level:
             light += sources.strength[s][:, None] * factor[s]
             continue
         lit = np.flatnonzero(factor[s])

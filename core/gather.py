@@ -7,8 +7,10 @@ sources by test rays (`direct`), light of faces that are not sampled and of the 
 
 from __future__ import annotations
 
+from collections import deque
 from copy import deepcopy
 from dataclasses import dataclass
+from hashlib import blake2b
 from time import thread_time
 
 import numpy as np
@@ -18,7 +20,7 @@ from .filter import Filter
 from .guide import NOTHING, Aim, guide_samples
 from .kernel import blocks
 from .lights import FLAT, test_rays, unlike, unoccluded
-from .points import pairs
+from .points import Block, block_arrays
 from .records import to_arrays
 from .sampling import R2, fraction, hemisphere, lattice, scatter, tangents
 from .vectors import counted, ratio
@@ -42,7 +44,6 @@ DIM = 0.02  # a point that gets less than this share of its unoccluded light is 
 DIM_TESTS = 16
 
 PARTS = ("direct", "found", "reflected")  # of a point's light
-PLACE = ("position", "normal", "geometric", "neighbor_start", "neighbor")  # what cells need to know of points
 
 REACH = 0.4  # of the filter, in harmonic mean free distances, at 64 gather rays
 CHANCE = 2.0  # times the noise: a change by the filter up to that is taken as noise (undoing less would not pay)
@@ -161,13 +162,17 @@ class Gathering:
             seed=self.settings.seed + SEEDS * number,
             links=int(not number),
         )
-        parts = (ids[k : k + size] for k in range(0, len(ids), size))
-        tasks = {self.cells.submit("gather", ids=part, **arguments): part for part in parts}
+        parts = deque(ids[k : k + size] for k in range(0, len(ids), size))
+        tasks, most = {}, self.cells.flow_each * self.cells.count
         done = int(replicate.asked.sum()) - len(ids)
         try:
-            for task, part in tasks.items():
-                self._add(replicate, part, *self.cells.take([task]))
-                done += len(part)
+            while tasks or parts:
+                while parts and len(tasks) < most:  # never all: each carries its points
+                    part = parts.popleft()
+                    tasks[self.cells.submit("gather", **arguments, **block_arrays(self.points, part))] = part
+                first = next(iter(tasks))
+                self._add(replicate, tasks[first], *self.cells.take([first]))
+                done += len(tasks.pop(first))
                 yield done
         finally:  # if it was broken off, later tasks may have been done before earlier ones
             for task, result in self.cells.brought(tasks).items():
@@ -301,8 +306,12 @@ def light_arrays(points, solution, surfaces, sky, side):
     through = nothing
     if surfaces.translucency.any():
         through = solution.reflected - surfaces.reflectance * solution.irradiance
+    # Cells know no points; but what they have found out at some is not true of others.
+    place = blake2b(np.ascontiguousarray(points.position), digest_size=16)
+    place.update(np.ascontiguousarray(points.normal))
     return {
-        **{f"points.{name}": np.asarray(getattr(points, name), order="C") for name in PLACE},
+        "points.count": np.array(len(points)),
+        "points.print": np.frombuffer(place.digest(), np.uint8),
         **to_arrays("guide", solution.guide or NOTHING),
         "gather.reflected": reflected if reflected.any() else nothing,
         "gather.reflectance": surfaces.reflectance,
@@ -312,26 +321,26 @@ def light_arrays(points, solution, surfaces, sky, side):
     }
 
 
-def gather_points(kernel, ids, rays, tests, seed, links):
-    """Light at points ids (K,), by `rays` rays and `tests` times the usual test rays: "direct" of sampled sources, "found" by
-    rays and "reflected", (C, K) [W/m^2]; "nearness" (K,), the mean inverse distance that their rays went, in scene
-    diagonals; "closest" (K,), the shortest; if `links`, "links" (E,) bool, which of their neighbors they see along the edge."""
+def gather_points(kernel, rays, tests, seed, links, **points):
+    """Light at the K points of a Block, by `rays` rays and `tests` times the usual test rays: "direct" of sampled sources, "found" by
+    rays and "reflected", (C, K) float32 [W/m^2]; "nearness" (K,) float32, the mean inverse distance that their rays went, in
+    scene diagonals; "closest" (K,) float32, the shortest; if `links`, "links" (E,) bool, which of their neighbors they see along the edge."""
     reflected, found = kernel.arrays["gather.reflected"], kernel.arrays["gather.found"]
-    count = kernel.sources.strength.shape[1]
-    result = {name: np.zeros((count, len(ids))) for name in PARTS}
-    result.update(nearness=np.zeros(len(ids)), closest=np.full(len(ids), np.inf))
+    points, count = Block(**points), kernel.sources.strength.shape[1]
+    result = {name: np.zeros((count, len(points)), np.float32) for name in PARTS}
+    result.update(nearness=np.zeros(len(points), np.float32), closest=np.full(len(points), np.inf, np.float32))
     begun = thread_time()
-    result["direct"] = _direct(kernel, ids, rays, tests, seed)
+    result["direct"][:] = _direct(kernel, points, rays, tests, seed)
     kernel.caster.note("sources", begun)
     if links:
         begun = thread_time()
-        result["links"] = _links(kernel, ids)
+        result["links"] = _links(kernel, points)
         kernel.caster.note("links", begun)
     if not (reflected.size or found.size):
         return result
-    shooter = Shooter(kernel, rays, seed)
-    for part in blocks(len(ids), shooter.each):
-        hit, weight = shooter.shoot(ids[part])
+    shooter = Shooter(kernel, points, rays, seed)
+    for part in blocks(len(points), shooter.each):
+        hit, weight = shooter.shoot(part)
         if reflected.size:
             result["reflected"][:, part] = weighted_sum(read_light(reflected, hit.side), weight)
         if found.size:
@@ -344,17 +353,20 @@ def gather_points(kernel, ids, rays, tests, seed, links):
 
 
 class Shooter:
-    """Rays from points: `rays` over the hemisphere of each, and guided ones if there are any, `each` in all."""
+    """Rays from the points of a Block: `rays` over the hemisphere of each, and guided ones if there are any, `each` in all."""
 
-    def __init__(self, kernel, rays, seed):
-        self._kernel, self._rays, self._seed, self._tables = kernel, rays, seed, direction_tables(rays, seed)
+    def __init__(self, kernel, points, rays, seed):
+        self._kernel, self._points, self._rays, self._seed = kernel, points, rays, seed
+        self._tables = direction_tables(rays, seed)
         self._guided = max(int(GUIDED_SHARE * rays), 1) if kernel.guide else 0
         self.each = rays + self._guided
 
-    def shoot(self, ids):
-        """What the rays of points ids (K,) meet, as Hits of K * each rays, and what each counts, (K, each)."""
-        kernel, points, rays = self._kernel, self._kernel.points, self._rays
-        position, normal, geometric = points.position[ids], points.normal[ids], points.geometric[ids]
+    def shoot(self, part):
+        """What the rays of part of the points, a slice, meet, as Hits of K * each rays, and what each counts, (K, each)."""
+        kernel, points, rays = self._kernel, self._points, self._rays
+        ids, position, normal, geometric = (
+            x[part] for x in (points.ids, points.position, points.normal, points.geometric)
+        )
         directions = world_rays(self._tables, ids, normal, self._seed)
         if self._guided:
             aim = Aim(kernel.guide, position, normal)
@@ -399,33 +411,31 @@ def weighted_sum(light, weight):
     return np.einsum("ckn,kn->ck", light.reshape(len(light), *weight.shape), weight)
 
 
-def _links(kernel, ids):
-    """(E,) bool: whether points ids see their neighbors, just above the surface. Both ends cast the same ray."""
-    here, there = pairs(kernel.points, ids)
+def _links(kernel, points):
+    """(E,) bool: whether the points of a Block see their neighbors, just above the surface. Both ends cast the same ray."""
+    here, there = points.edges
     if not kernel.occluded:
         return np.ones(len(here), bool)
-    low, high = np.minimum(ids[here], there), np.maximum(ids[here], there)
-    ends = (kernel.caster.start(kernel.points.position[k], kernel.points.geometric[k]) for k in (low, high))
+    upward = points.ids[here] < points.ids[there]
+    low, high = np.where(upward, here, there), np.where(upward, there, here)
+    ends = (kernel.caster.start(points.position[k], points.geometric[k]) for k in (low, high))
     return ~kernel.caster.blocked(*ends)
 
 
-def _direct(kernel, own, rays, tests, seed):
-    """(C, K) light of the sampled sources at points own (K,), which are sorted [W/m^2].
+def _direct(kernel, points, rays, tests, seed):
+    """(C, K) light of the sampled sources at the points of a Block [W/m^2].
 
     All are tested a few times, with their neighbors; where a source is partly hidden, or hidden for one point and not
     for the next, more test rays follow. tests: times as many as usual.
     """
-    points, sources = kernel.points, kernel.sources
+    sources, own = kernel.sources, len(points)
     if not len(sources):
-        return np.zeros((sources.strength.shape[1], len(own)))
-    if not kernel.occluded and (points.normal[own] == points.geometric[own]).all():
-        each = [unoccluded(sources, s, points.position[own], points.normal[own]) for s in range(len(sources))]
+        return np.zeros((sources.strength.shape[1], own))
+    ids, position, normal, geometric = points.ids, points.position, points.normal, points.geometric
+    if not kernel.occluded and (normal[:own] == geometric[:own]).all():
+        each = [unoccluded(sources, s, position[:own], normal[:own]) for s in range(len(sources))]
         return np.einsum("sk,sc->ck", np.stack(each), sources.strength)
-    here, neighbor = pairs(points, own)
-    ids = np.concatenate([own, np.setdiff1d(neighbor, own)])
-    order = np.argsort(ids, kind="stable")
-    there = order[np.searchsorted(ids, neighbor, sorter=order)]
-    position, normal, geometric = points.position[ids], points.normal[ids], points.geometric[ids]
+    here, there = points.edges
     origin = kernel.caster.start(position, geometric)
 
     def test(s, who, after, count):
@@ -441,7 +451,7 @@ def _direct(kernel, own, rays, tests, seed):
         begin = np.cumsum(count) - count
         return np.add.reduceat(weight, begin), np.add.reduceat(seen, begin)
 
-    factor = kernel.factors_at(ids)
+    factor = kernel.factors_at(points)
     possible = factor * sources.strength.max(axis=1)
     share = ratio(possible, possible.sum(axis=1, keepdims=True))
     first = np.stack([_tests(kernel, s, position, share[:, s], tests) for s in range(len(sources))], axis=1)
@@ -469,12 +479,12 @@ def _direct(kernel, own, rays, tests, seed):
         count = np.where(mixed, np.clip(most / 2 * np.sqrt(share[:, s]), 4, most), 0)
         count = np.where(dim & (state >= 0), np.maximum(count, DIM_TESTS), count)
         count = count.astype(np.int64)
-        more = np.flatnonzero(count[: len(own)])
+        more = np.flatnonzero(count[:own])
         if len(more):
             extra = test(s, more, first[more, s], count[more])
             weight[more, s] += extra[0]
             seen[more, s] += extra[1]
-    arriving = (factor * ratio(seen, weight))[: len(own)]
+    arriving = (factor * ratio(seen, weight))[:own]
     kernel.caster.note("occlusion", tested)
     return np.einsum("ks,sc->ck", arriving, sources.strength)
 

@@ -15,7 +15,6 @@ from .alpha import Alpha, make_alpha
 from .guide import NOTHING, GuideGeometry
 from .lights import Sources, unoccluded
 from .patches import Patches, patch_of_hit
-from .points import Points
 from .raycast import RayCaster
 from .records import from_arrays, to_arrays
 from .sky import cells_of
@@ -99,10 +98,6 @@ class Kernel:
         return bool(self.arrays["occlusion.any"])
 
     @cached_property
-    def points(self):
-        return from_arrays(Points, "points", self.arrays)
-
-    @cached_property
     def guide(self):
         """What rays are guided to, as a GuideGeometry, or None."""
         return GuideGeometry(self) if len(self.arrays["guide.sides"]) else None
@@ -119,25 +114,25 @@ class Kernel:
     def factors(self):
         """(P, S) what every source would give every point with nothing in between, per unit of strength: NaN where it has not
         been asked for, or None if it would take too much memory. Each replicate asks for the same again."""
-        shape = len(self.points), len(self.sources)
+        shape = int(self.arrays["points.count"]), len(self.sources)
         return np.full(shape, np.nan) if shape[0] * shape[1] <= MOST_FACTORS else None
 
-    def factors_at(self, ids):
-        """(K, S) those at points ids (K,)."""
-        new = ids if self.factors is None else ids[np.isnan(self.factors[ids, 0])]
-        position, normal = self.points.position[new], self.points.normal[new]
+    def factors_at(self, block):
+        """(N, S) those at the points of a Block."""
+        ids = block.ids
+        new = slice(None) if self.factors is None else np.isnan(self.factors[ids, 0])
+        position, normal = block.position[new], block.normal[new]
         found = np.stack([unoccluded(self.sources, s, position, normal) for s in range(len(self.sources))], axis=1)
         if self.factors is None:
             return found
-        self.factors[new] = found
+        self.factors[ids[new]] = found
         return self.factors[ids]
 
     def renewed(self, arrays):
         """A kernel with some arrays replaced; what was built from the others is kept."""
         kernel = Kernel({**self.arrays, **arrays})
         built = {
-            "caster": "scene.", "patches": "patches.", "element_corners": "patches.", "sources": "sources.",
-            "points": "points.", "guide": "guide.",
+            "caster": "scene.", "patches": "patches.", "element_corners": "patches.", "sources": "sources.", "guide": "guide.",
         }  # fmt: skip
         for name, prefix in built.items():
             if name in self.__dict__ and not any(key.startswith(prefix) for key in arrays):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .kernel import blocks
+from .points import Block, block_arrays
 from .sampling import fraction, hemisphere, lattice, scatter, tangents
 from .vectors import dot
 
@@ -16,32 +17,34 @@ SALT = 21
 
 def find_openness(points, distance, cells, seed):
     """(P,) cosine-weighted share of each point's hemisphere in which nothing stands within a distance [m]: 1 in the open.
-    A generator that yields (points done, all points). cells: started with the scene and the points."""
-    parts = [(k, min(k + TASK_POINTS, len(points))) for k in range(0, len(points), TASK_POINTS)]
-    tasks = [cells.submit("openness", start=a, stop=b, distance=float(distance), seed=seed) for a, b in parts]
+    A generator that yields (points done, all points). cells: started with the scene."""
+    parts = [slice(k, min(k + TASK_POINTS, len(points))) for k in range(0, len(points), TASK_POINTS)]
+    each = (
+        dict(distance=float(distance), seed=seed, **block_arrays(points, np.arange(p.start, p.stop), joined=False))
+        for p in parts
+    )
     openness = np.ones(len(points))
-    for (start, stop), task in zip(parts, tasks):
-        (result,) = cells.take([task])
-        openness[start:stop] = result["openness"]
-        yield stop, len(points)
+    for part, result in zip(parts, cells.flow("openness", each)):
+        openness[part] = result["openness"]
+        yield part.stop, len(points)
     return openness
 
 
-def openness_of_points(kernel, start, stop, distance, seed):
-    """{"openness": (K,)} of points start to stop, see `find_openness`."""
-    points = kernel.points
+def openness_of_points(kernel, distance, seed, **points):
+    """{"openness": (K,)} of the K points of a Block, see `find_openness`."""
+    points = Block(**points)
     u, v = lattice(RAYS)
     reach = np.float32(min(distance * kernel.caster.frame[1], FARTHEST))
-    openness = np.empty(stop - start)
-    for part in blocks(stop - start, RAYS):
-        ids = np.arange(start, stop)[part]
-        normal, geometric = points.normal[ids], points.geometric[ids]
+    openness = np.empty(len(points))
+    for part in blocks(len(points), RAYS):
+        ids = points.ids[part].astype(np.int64)
+        normal, geometric = points.normal[part], points.geometric[part]
         turn = scatter(ids, SALT + 8 * seed)[:, None]
         local = hemisphere(np.broadcast_to(u, (len(ids), RAYS)), fraction(v + turn))
         t1, t2 = tangents(normal)
         direction = np.einsum("knj,kjd->knd", local, np.stack([t1, t2, normal], axis=1))
         above = dot(direction, geometric[:, None]) > 0
-        origin = np.repeat(kernel.caster.start(points.position[ids], geometric), RAYS, axis=0)
+        origin = np.repeat(kernel.caster.start(points.position[part], geometric), RAYS, axis=0)
         target = origin + reach * direction.reshape(-1, 3).astype(np.float32)
         free = ~kernel.caster.blocked(origin, target).reshape(-1, RAYS) & above
         openness[part] = free.sum(axis=1) / RAYS

@@ -114,6 +114,59 @@ def make_points(scene, flipped=None, cells=None):
     )
 
 
+@dataclass(frozen=True)
+class Block:
+    """K points and, behind them, those of their neighbors that are not among them: N in all, as they travel with a task.
+
+    ids: (N,) int32 their numbers among all points, the first K in order. position, normal, geometric: (N, 3), see Points;
+    geometric is empty where it is the normal. degree: (K,) int32 number of the neighbors of each; neighbor: (E,) int32
+    which of the N they are, one point's after the other's.
+    """
+
+    ids: np.ndarray
+    position: np.ndarray
+    normal: np.ndarray
+    geometric: np.ndarray
+    degree: np.ndarray
+    neighbor: np.ndarray
+
+    def __post_init__(self):
+        if not len(self.geometric):
+            object.__setattr__(self, "geometric", self.normal)
+
+    def __len__(self):
+        return len(self.degree)
+
+    @property
+    def level(self):
+        """Whether the hemispheres of all of its points lie on the surface itself."""
+        return self.geometric is self.normal
+
+    @property
+    def edges(self):
+        """Its points (E,), repeated, and their neighbors (E,), as numbers from 0 to N - 1."""
+        return np.repeat(np.arange(len(self)), self.degree), self.neighbor
+
+
+def block_arrays(points, own, joined=True):
+    """{name: array} of the Block of points own (K,), which are sorted. joined: with their neighbors, or without any."""
+    ids, degree, there = own, np.zeros(len(own), np.int32), np.zeros(0, np.int32)
+    if joined:
+        here, neighbor = pairs(points, own)
+        degree = np.bincount(here, minlength=len(own)).astype(np.int32)
+        there = np.searchsorted(own, neighbor)
+        outside = np.append(own, -1)[there] != neighbor
+        more, number = np.unique(neighbor[outside], return_inverse=True)
+        there[outside] = len(own) + number.reshape(-1)
+        ids = np.concatenate([own, more])
+    position, normal, geometric = (np.take(x, ids, axis=0) for x in (points.position, points.normal, points.geometric))
+    return dict(
+        ids=ids.astype(np.int32), position=position, normal=normal,
+        geometric=geometric[: 0 if (geometric == normal).all() else None],
+        degree=degree, neighbor=there.astype(np.int32),
+    )  # fmt: skip
+
+
 class _Corners:
     """The C corners of a scene that are written, of polygons that have an area: corner, vertex and polygon (C,) int32 of each;
     wanted (P,) bool, face_normal (P, 3) and polygon_area (P,) of all polygons. flipped: see `make_points`."""

@@ -27,7 +27,7 @@ CAUSES = ("too few shooters", "waiting", "messages", "serial host work")
 
 @dataclass(frozen=True)
 class MessageCost:
-    """What a task costs beside its own work [s]: host, per task and per byte of its result; latency, until a cell's
+    """What a task costs beside its own work [s]: host, per task and per byte of its arguments and result; latency, until a cell's
     result is with the host and the next task with the cell; start_per_byte, until a cell has a byte of new arrays,
     which all cells take in at the same time, or each in its turn."""
 
@@ -41,12 +41,15 @@ class MessageCost:
 def measure_messages(cells):
     """The MessageCost of one process cell, by tasks that do nothing but answer with a given number of bytes."""
 
-    def answer(size=8):
-        cells.take([cells.submit("wait", seconds=0.0, sizes=np.array([size]))])
+    def ask(size=8):
+        return cells.submit("wait", seconds=0.0, sizes=np.array([size]), carried=np.zeros(size))
+
+    def answer():
+        cells.take([ask()])
 
     def host_seconds(count, size):
         spent = process_time()
-        for task in [cells.submit("wait", seconds=0.0, sizes=np.array([size])) for _ in range(count)]:
+        for task in [ask(size) for _ in range(count)]:
             cells.take([task])
         return (process_time() - spent) / count
 
@@ -67,7 +70,7 @@ def measure_messages(cells):
     trips = float(np.median([trip() for _ in range(100)]))
     filling = min(start_seconds(number) for number in range(3)) - trips
     cells.start({"wait.filling": np.zeros(0)})
-    per_byte, latency = max(large - small, 0.0) / (8 << 17), max(trips - small, 0.0) / 2
+    per_byte, latency = max(large - small, 0.0) / (16 << 17), max(trips - small, 0.0) / 2
     return MessageCost(small, per_byte, latency, max(filling, 0.0) / FILLING, cells.in_turn)
 
 
@@ -84,7 +87,7 @@ class TaskTimes:
 
     def run(self, name, arguments):
         """(result, seconds, rays) of a task."""
-        parts = ("scene", "patches", "sources", "points", "gather")[: 5 if name in ("gather", "control") else 3]
+        parts = ("scene", "patches", "sources", "gather")[: 4 if name in ("gather", "control") else 3]
         needs = tuple(d for k, d in sorted(self._digests.items()) if k.split(".")[0] in parts)
         key = (name, needs, *((k, _digest(v)) for k, v in sorted(arguments.items())))
         if key not in self._known:
@@ -123,9 +126,7 @@ class ReplayCells(Cells):
     def start(self, arrays):
         self._host_worked()
         self.times.start(arrays)
-        size = sum(
-            np.asarray(a).nbytes * (self._each if name.startswith("points.") else 1) for name, a in arrays.items()
-        )
+        size = _bytes(arrays)
         for cell in range(self.count):
             arrives = self.clock + self.message.start_per_byte * size * (cell + 1 if self.message.in_turn else 1)
             self._lose(cell, self.clock)
@@ -144,9 +145,10 @@ class ReplayCells(Cells):
             self._peak = 0
         self._alone += name in BY_THEMSELVES
         self._left[self._next] = copies, name
+        passing = self._passing(arguments)
         self._outstanding += copies
         self._peak = max(self._peak, self._outstanding)
-        self._waiting.extend([(self._next, result, seconds)] * copies)
+        self._waiting.extend([(self._next, result, seconds, passing)] * copies)
         self._next += 1
         self._deal()
         self._mark = thread_time()
@@ -160,8 +162,7 @@ class ReplayCells(Cells):
             few = self._peak < self.count
             self._advance(finish, "too few shooters" if few else "waiting")
             self._advance(finish + self.message.latency, "messages")
-            size = sum(np.asarray(a).nbytes for a in result.values())
-            self._advance(self.clock + self.message.host / 2 + size * self.message.host_per_byte, "messages")
+            self._advance(self.clock + self._passing(result), "messages")
             self._held[cell] -= 1
             self._outstanding -= 1
             self._deal()
@@ -225,14 +226,18 @@ class ReplayCells(Cells):
             cell = self._held.index(min(self._held))
             if self._held[cell] >= ahead(len(self._waiting), self.count):
                 return
-            number, result, seconds = self._waiting.popleft()
-            self._advance(self.clock + self.message.host / 2, "messages")
+            number, result, seconds, passing = self._waiting.popleft()
+            self._advance(self.clock + passing, "messages")
             begin = max(self._free[cell], self.clock + self.message.latency)
             self._lose(cell, begin)
             self._free[cell] = begin + seconds
             self.busy[cell] += seconds
             self._held[cell] += 1
             heapq.heappush(self._running, (begin + seconds, number, cell, result))
+
+    def _passing(self, arrays):
+        """Seconds that the host takes to send, or to receive, what a task works on or brings."""
+        return self.message.host / 2 + _bytes(arrays) * self.message.host_per_byte
 
     def _lose(self, cell, until):
         """A cell had nothing to do from when it was free until now: find out why."""
@@ -281,13 +286,19 @@ class SleepingCells(ProcessCells):
     def submit(self, name, **arguments):
         result, seconds, _ = self._times.run(name, arguments)
         sizes = np.array([np.asarray(a).nbytes // 8 + 1 for a in result.values()])
-        number = super().submit("wait", seconds=seconds, sizes=sizes)
+        carried = np.zeros(_bytes(arguments) // 8 + 1)
+        number = super().submit("wait", seconds=seconds, sizes=sizes, carried=carried)
         self._answers[number] = result
         return number
 
     def results(self):
         for number, _ in super().results():
             yield number, self._answers.pop(number)
+
+
+def _bytes(arrays):
+    """Bytes of arrays and numbers {name: value}."""
+    return sum(np.asarray(a).nbytes for a in arrays.values())
 
 
 def _digest(value):

@@ -13,7 +13,7 @@ import time
 import numpy as np
 import pytest
 
-from cell_radiosity.core.cells import APART, FLOW, CellError, LocalCells, _packed, _Process, make_cells, unpacked
+from cell_radiosity.core.cells import APART, CellError, LocalCells, _packed, _Process, make_cells, unpacked
 
 from scenes import Lamp, Material, Settings, World, bake, box, icosphere, join_meshes, run
 
@@ -298,6 +298,6 @@ def test_a_flow_makes_arguments_no_sooner_than_cells_need_them():
 
         for number, result in enumerate(cells.flow("wait", each())):
             assert len(result["0"]) == number
-            assert made <= min(number + FLOW * cells.count + 1, 300)
+            assert made <= min(number + cells.flow_each * cells.count + 1, 300)
         assert made == number + 1 == 300
         assert list(cells.flow("wait", [])) == []

@@ -12,7 +12,7 @@ from cell_radiosity.core.bake import bake, run
 from cell_radiosity.core.cells import LocalCells, make_cells
 from cell_radiosity.core.gather import SEEDS, gather_points, light_arrays, sides_of
 from cell_radiosity.core.guide import MOST_GROUPS, NOTHING, Guide, bright_sides, make_guide
-from cell_radiosity.core.points import make_points
+from cell_radiosity.core.points import block_arrays, make_points
 from cell_radiosity.core.polygons import polygon_factor
 from cell_radiosity.core.records import to_arrays
 from cell_radiosity.core.rows import guide_rows
@@ -70,9 +70,11 @@ def floor(points):
     return np.flatnonzero((points.normal[:, 2] > 0.9) & (points.position[:, 2] < 0.1)).astype(np.int32)
 
 
-def found(kernel, ids, rays, seeds):
+def found(kernel, points, ids, rays, seeds):
     """(R, K) light of the panels in the first channel, by independent replicates."""
-    return np.stack([gather_points(kernel, ids, rays, 1, SEEDS * k, 0)["found"][0] for k in range(seeds)])
+    own = block_arrays(points, ids)
+    each = [gather_points(kernel, rays, 1, SEEDS * k, 0, **own)["found"][0] for k in range(seeds)]
+    return np.stack(each).astype(float)
 
 
 def test_light_is_what_the_closed_form_says_with_a_tenth_of_the_variance(lit):
@@ -81,7 +83,8 @@ def test_light_is_what_the_closed_form_says_with_a_tenth_of_the_variance(lit):
     kernel, points, guide, _ = lit
     assert len(guide) > MOST_GROUPS
     ids = floor(points)
-    guided, plain = found(kernel, ids, 16, 40), found(kernel.renewed(to_arrays("guide", NOTHING)), ids, 16, 40)
+    unguided = kernel.renewed(to_arrays("guide", NOTHING))
+    guided, plain = found(kernel, points, ids, 16, 40), found(unguided, points, ids, 16, 40)
     true = exact(points, ids)
     for light in (guided, plain):
         mean = light.mean(axis=1)
@@ -94,10 +97,10 @@ def test_light_is_what_the_closed_form_says_with_a_tenth_of_the_variance(lit):
 def test_what_a_point_gets_does_not_depend_on_the_others_of_its_task(lit):
     kernel, points, *_ = lit
     ids = np.arange(len(points), dtype=np.int32)
-    whole = gather_points(kernel, ids, 8, 1, 0, 0)
-    parts = [gather_points(kernel, part, 8, 1, 0, 0) for part in np.array_split(ids, 7)]
-    for name in ("found", "reflected"):
-        assert np.array_equal(whole[name], np.concatenate([part[name] for part in parts], axis=1))
+    whole = gather_points(kernel, 8, 1, 0, 1, **block_arrays(points, ids))
+    parts = [gather_points(kernel, 8, 1, 0, 1, **block_arrays(points, part)) for part in np.array_split(ids, 7)]
+    for name in whole:
+        assert np.array_equal(whole[name], np.concatenate([part[name] for part in parts], axis=-1))
 
 
 @pytest.mark.parametrize("rays", [1, 16])

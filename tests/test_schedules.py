@@ -290,16 +290,16 @@ def test_replay_of_arrays_that_reach_one_cell_after_the_other():
     """The last of four cells has them after four times as long; all at once, as soon as the first."""
     for in_turn, seconds in ((False, 10.0), (True, 40.0)):
         cells = ReplayCells(4, Given(), MessageCost(0.0, 0.0, 0.0, 0.01, in_turn))
-        cells.start({"points.position": np.zeros(125)})
+        cells.start({"patches.area": np.zeros(125)})
         cells.take([cells.submit("rows", seconds=1.0) for _ in range(4)])
         assert cells.clock == near(seconds + 1.0)
 
 
 def test_replay_counts_messages():
-    """On one cell: the host's share of every task, per byte of its result, and the way there and back."""
+    """On one cell: the host's share of every task, per byte of what it carries and brings, and the way there and back."""
     seconds, lost = replay(1, [[100.0]] * 10, MessageCost(2.0, 0.05, 3.0))
-    assert seconds == near(10 * (100 + 2 + 80 * 0.05 + 2 * 3))
-    assert lost["messages"] == near(10 * (2 + 80 * 0.05 + 2 * 3))
+    assert seconds == near(10 * (100 + 2 + 96 * 0.05 + 2 * 3))
+    assert lost["messages"] == near(10 * (2 + 96 * 0.05 + 2 * 3))
 
 
 def test_sleeping_cells_answer_as_the_real_ones():

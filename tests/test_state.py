@@ -58,10 +58,7 @@ class Counted:
     def _count(self, number):
         name, told = self._told[number]
         seed = told.get("seed"), told.get("rays")
-        items = told.get(
-            "ids",
-            told.get("sides", range(told["start"], told["stop"]) if "stop" in told and name == "openness" else ()),
-        )
+        items = told["ids"][: len(told["degree"])] if "degree" in told else told.get("sides", ())
         own = [(name, *seed, int(k)) for k in items]
         self.traced.update(own or [(name, str({k: np.asarray(v).tobytes() for k, v in told.items()}))])
 
