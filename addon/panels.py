@@ -16,6 +16,7 @@ from .translations import CONTEXT, tr, tr_message
 from .viewport import has_result, layer_names
 
 LETTER = 6.2  # pixels of a letter at a resolution scale of 1, about
+WORTH_SAYING = 0.01  # seconds of work that leaving an effect out has spared
 SHOWN = 12  # findings that a list shows; of the rest only the number is told
 
 
@@ -228,7 +229,9 @@ class RADIOSITY_PT_effects(_Panel, bpy.types.Panel):
         for effect in result.effects:
             icon = "CHECKBOX_HLT" if effect.needed else "CHECKBOX_DEHLT"
             text = f"{tr(effect.name.capitalize())}: {tr_message(effect.reason)}"
-            cost = f" ({tr('{} s of work', _seconds(effect.seconds))})" if effect.seconds >= 0 else ""
+            known = effect.seconds >= (0.0 if effect.needed else WORTH_SAYING)
+            told = "{} s of work" if effect.needed else "about {} s of work spared"
+            cost = f" ({tr(told, _seconds(effect.seconds))})" if known else ""
             _paragraph(layout, text + cost, icon)
         if result.ignored:
             layout.label(text=tr("Not simulated:"))

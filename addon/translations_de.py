@@ -37,6 +37,7 @@ GERMAN = {
     "Show as Emission": "Als Emission zeigen",
     "Use as Base Color": "Als Grundfarbe nehmen",
     "{} s of work": "{} s Arbeit",
+    "about {} s of work spared": "etwa {} s Arbeit erspart",
     "Not simulated:": "Nicht simuliert:",
     "and {} more": "und {} weitere",
     "{} cells: see the extension's preferences": "{} Zellen: siehe die Einstellungen der Erweiterung",

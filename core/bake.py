@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cached_property, partial
 from math import inf, log
 from time import perf_counter
 
@@ -16,7 +16,7 @@ from .choices import control_points, control_rays, eased, finer, more_control
 from .clock import Clock
 from .contacts import cut_contacts
 from .control import Control, Traced, draw_control
-from .costs import with_costs
+from .costs import Work, with_costs
 from .effects import Survey, simplified, survey
 from .gather import Gathering, Light, light_arrays, patch_light, sides_of
 from .groups import Groups, make_groups, scaled, weighted
@@ -26,7 +26,7 @@ from .kernel import cast_arrays, transport_arrays
 from .lights import emitting_polygons, make_sources
 from .occlusion import find_openness
 from .paper import solve_paper
-from .patches import Patches, make_patches, patch_of_hit, patch_size
+from .patches import Patches, count_patches, make_patches, patch_of_hit, patch_size
 from .placing import refill, thin_findings
 from .points import Points, make_points
 from .prices import PRICED, Pilot, price_list
@@ -35,7 +35,7 @@ from .scene import Scene, World
 from .settings import Settings
 from .sky import split_sky
 from .state import State, StateError, scene_prints
-from .surfaces import make_surfaces
+from .surfaces import make_surfaces, reflects
 
 ROUGH_RAYS = 32  # of a point, to tell where a mesh must be finer
 FINER = 1.5  # times shorter are patches where the usual ones alone keep a bake from its error
@@ -164,7 +164,7 @@ class _Course:
         self.clock = Clock(cells)
         self.scene = self.written = scene
         self.survey = self._surveyed(settings)
-        self.settings = eased(settings, self.survey)
+        self._asked, self.settings = settings, eased(settings, self.survey)
         self._coarse = False
         if state:
             usual, self.settings = self.settings, state.knobs(settings)
@@ -469,9 +469,7 @@ class _Course:
             self.written,
             self.settings,
             with_costs(
-                self.survey.after(self.scene, self.patches, solution, error, self.cells.note, more),
-                self.clock.parts(),
-                self.clock.watched,
+                self.survey.after(self.scene, self.patches, solution, error, self.cells.note, more), self._work()
             ),
             self.patches,
             points,
@@ -488,6 +486,31 @@ class _Course:
             by_group=by_group if self.groups else None,
             openness=self.openness,
             state=self.state,
+        )
+
+    @cached_property
+    def _usual(self):
+        """Patches, and rays of a row, as they would be without the ease of a room where nothing casts a shadow."""
+        if eased(self._asked, self.survey) == self._asked:
+            return len(self.patches), self.settings.row_rays
+        (count,) = count_patches(self.scene, [patch_size(self.scene, self._asked)])
+        return count, self._asked.row_rays
+
+    def _work(self):
+        """The Work that has been done."""
+        settings = self.settings
+        return Work(
+            cpu=self.clock.seconds()["cpu"],
+            solve=self.clock.watched,
+            parts=self.clock.parts(),
+            rays=self.clock.rays(),
+            points=len(self.points),
+            patches=len(self.patches),
+            row_rays=settings.row_rays,
+            usual=self._usual,
+            pilot_rays=PILOT * settings.pilot_rays,
+            sources=len(self.sources),
+            reflects=reflects(self.scene),
         )
 
     def _coarse_findings(self):

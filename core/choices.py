@@ -7,7 +7,8 @@ from dataclasses import replace
 from .accuracy import ENOUGH, SMALL
 from .settings import Settings
 
-EASED, EASED_FINE = 4.0, 2.0  # times the length of patches where nothing casts a shadow; the latter below 1 % error
+EASED = 4.0  # times the length of patches where nothing casts a shadow
+EASED_FROM = 0.01  # the error asked for: below it the longer rows cost more than the patches save
 CONTROL_POINTS = 320
 EACH_OBJECT = 24  # of them, if every object is to reach the error
 MOST_CONTROL_POINTS = 2000
@@ -26,10 +27,9 @@ def eased(settings, found):
     usual = Settings.for_error(settings.error)
     if any(found.needs(name) for name in ("occlusion", "sky", "textures", "transparency")):
         return settings
-    if settings.patch_edge != usual.patch_edge or settings.rows != "rays":
+    if settings.error < EASED_FROM or settings.patch_edge != usual.patch_edge or settings.rows != "rays":
         return settings
-    longer = EASED if settings.error >= 0.01 else EASED_FINE
-    return replace(settings, patch_edge=longer * settings.patch_edge, row_rays=2 * settings.row_rays)
+    return replace(settings, patch_edge=EASED * settings.patch_edge, row_rays=2 * settings.row_rays)
 
 
 def finer(wanted, settings):

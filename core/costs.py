@@ -1,34 +1,89 @@
-"""What effects of light have cost in a bake: CPU seconds, as far as they can be told apart.
+"""What effects of light have cost in a bake: CPU seconds, as far as they can be told apart; and what those that were left
+out would have cost.
 
 An effect's seconds are those that were spent on it alone or on it with others, so they overlap: test rays are there for
-the lamp that they go to, and for what may stand before it. What cannot be told apart has no figure.
+the lamp that they go to, and for what may stand before it. What cannot be told apart has no figure. What was left out is
+judged by the work that it would have been, in rays of which this bake has measured the price.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 SOURCES = ("lamps", "emission", "sky")  # effects whose sources are sampled
 ROWS = ("rows", "analytic", "guided")  # tasks that find where light goes
+RAYS = ("direct", "gather", "control", *ROWS)  # tasks that cast rays at patches and points
 BY_RAYS = ("interreflection", "sky", "emission")  # effects that call for rays: the first that is needed has them all
+UNEASED = ("occlusion", "sky", "textures", "transparency")  # any of them takes the ease of an empty room away
+
+# Forced on where they were left out, in the price of the bake's own rays (a dozen rooms of 10 000 vertices at 2 %):
+TESTS = 8.0  # rays of a point or patch toward a source, in case something is in the way
+CONTACTS = 4.0  # rays of a patch, to find what it touches
+PATCH = 6.0  # of a patch that is there at all
+ROW = 1.4  # of each ray of a row, which is solved with too
+ESCAPE = 0.65  # of a ray that meets nothing
+ALPHA = 0.12  # of each ray that has met something, to ask whether it goes on
+CHANNELS = 0.11  # of all CPU seconds: two more channels
 
 
-def with_costs(found, parts, solve):
-    """A Survey whose needed effects say what they have cost.
+@dataclass(frozen=True)
+class Work:
+    """What a bake has done. cpu: its CPU seconds; solve: those of the host's own solve; parts: {part: those of the cells}.
+    patches, row_rays: and of each row; usual: (patches, row_rays), were they not eased. pilot_rays: of a point in the pilot. sources: how many are sampled. reflects: whether any side does."""
 
-    parts: {part: CPU seconds} as Usage has them; solve: CPU seconds of the host's own solve.
-    """
+    cpu: float
+    solve: float
+    parts: dict
+    rays: int
+    points: int
+    patches: int
+    row_rays: int
+    usual: tuple
+    pilot_rays: int
+    sources: int
+    reflects: bool
+
+    def spent(self, *names):
+        return sum(self.parts.get(name, 0.0) for name in names)
+
+
+def with_costs(found, work):
+    """A Survey whose effects say what they have cost in a bake's Work, or would have."""
     needed = {effect.name for effect in found.effects if effect.needed}
-    costs = {name: seconds for name, seconds in _costs(needed, parts, solve).items() if name in needed}
-    return replace(found, effects=tuple(replace(e, seconds=costs.get(e.name)) for e in found.effects))
+    have, would = _costs(needed, work), _foretold(needed, work)
+    effects = (replace(e, seconds=(have if e.needed else would).get(e.name)) for e in found.effects)
+    return replace(found, effects=tuple(effects))
 
 
-def _costs(needed, parts, solve):
+def _foretold(needed, work):
+    """{effect: CPU seconds} that each would cost alone, if it were forced on."""
+    ray = work.spent(*RAYS) / max(work.rays, 1)
+
+    def rows(patches, rays, traced):
+        return patches * (PATCH + ROW * rays * traced) * ray
+
+    traced, patches = "interreflection" in needed, work.usual[0]
+    finer = max(rows(*work.usual, traced) - rows(work.patches, work.row_rays, traced), 0.0)
+    seconds = {
+        "occlusion": (TESTS * work.sources * (work.points + patches) + CONTACTS * patches) * ray,
+        "interreflection": (ESCAPE * work.pilot_rays * work.points * ray + rows(work.patches, work.row_rays, True))
+        * work.reflects,
+        "color": CHANNELS * work.cpu,
+        "lamps": 0.0,
+        "emission": 0.0,
+        "sky": 0.0,
+        "textures": 0.0,
+        "two-sided": 0.5 * work.spent("direct"),
+        "transparency": ALPHA * ray * work.rays,
+        "instances": 0.0,
+        "islands": 0.0,
+    }
+    return {name: cost + finer * (name in UNEASED) for name, cost in seconds.items()}
+
+
+def _costs(needed, work):
     """{effect: CPU seconds} of what can be told."""
-
-    def spent(*names):
-        return sum(parts.get(name, 0.0) for name in names)
-
+    spent = work.spent
     costs = {"occlusion": spent("occlusion", "links", "contacts"), "transparency": spent("transparency")}
     sampled = spent("direct", "sources")
     tested = {name: spent(name) for name in SOURCES if spent(name) > 0}
@@ -41,5 +96,5 @@ def _costs(needed, parts, solve):
     first = next((name for name in BY_RAYS if name in needed), None)
     if first:
         cast = max(spent("gather") - spent("sources", "links"), 0.0)
-        costs[first] = costs.get(first, 0.0) + spent(*ROWS) + solve + cast
+        costs[first] = costs.get(first, 0.0) + spent(*ROWS) + work.solve + cast
     return costs

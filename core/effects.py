@@ -41,8 +41,8 @@ INSIDE = 0.998  # how far toward its rim rays set out from a face
 
 @dataclass(frozen=True)
 class Effect:
-    """One effect: whether the scene needs it, and why, in words that name what decided. seconds: of CPU time that it cost;
-    None before the bake, where it was left out, and where that cannot be told."""
+    """One effect: whether the scene needs it, and why, in words that name what decided. seconds: of CPU time that it cost,
+    or about what it would have, if it was left out; None before the bake, and where that cannot be told."""
 
     name: str
     needed: bool

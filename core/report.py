@@ -34,7 +34,7 @@ SCHEMA = {
         version={"type": "string"},
         cells=_COUNT,
         seed=_COUNT,
-        effects=_list(_record(name={"type": "string"}, needed={"type": "boolean"}, reason={"type": "string"}, seconds=_NUMBER)),
+        effects=_list(_record(name={"type": "string"}, needed={"type": "boolean"}, reason={"type": "string"}, seconds=_NUMBER, estimated=_FLAG)),
         ignored=_list(_record(object={"type": "string"}, reason={"type": "string"})),
         health=_list(_record(object={"type": "string"}, finding={"type": "string"}, action={"type": "string"})),
         patches=_COUNT,
@@ -128,7 +128,16 @@ def survey_report(found, *, scene, version, settings, read, survey):
 def _of_survey(found):
     """The fields of a report that a Survey fills."""
     return {
-        "effects": [dict(name=e.name, needed=e.needed, reason=e.reason, seconds=e.seconds) for e in found.effects],
+        "effects": [
+            dict(
+                name=e.name,
+                needed=e.needed,
+                reason=e.reason,
+                seconds=e.seconds,
+                estimated=not e.needed and e.seconds is not None,
+            )
+            for e in found.effects
+        ],
         "ignored": [dict(object=o, reason=r) for o, r in found.ignored],
         "health": [dict(object=f.object, finding=f.finding, action=f.action) for f in found.health],
     }

@@ -123,6 +123,12 @@ def make_surfaces(scene, patches, sampled):
     return Surfaces(*(np.repeat(part.T, 2, axis=1) for part in parts), coverage)
 
 
+def reflects(scene):
+    """Whether any of its materials may reflect light, or let it through."""
+    shades = (m.reflectance + m.translucency for m in scene.materials)
+    return scene.readings is not None or any(any(s) or m.texture is not None for s, m in zip(shades, scene.materials))
+
+
 def corner_surfaces(scene, corner):
     """Reflectance and exitance (K, 3) at corners (K,) of the scene."""
     polygon = np.repeat(np.arange(len(scene.polygon_material)), np.diff(scene.polygon_start))[corner]

@@ -67,10 +67,10 @@ def rays(monkeypatch):
 
 
 def costs(meshes, materials=(GRAY, GLOW), lamps=(), **settings):
-    """The Bake of a scene, and what each of its effects has cost."""
+    """The Bake of a scene, and what each of the effects that it needs has cost."""
     scene = join_meshes(meshes, materials, lamps, settings.pop("world", World()))
     baked = run(bake(scene, Settings(error=0.05, **settings), LocalCells()))
-    return baked, {effect.name: effect.seconds for effect in baked.survey.effects}
+    return baked, {effect.name: effect.seconds if effect.needed else None for effect in baked.survey.effects}
 
 
 def of(rays, *tasks, asking=None):
@@ -116,12 +116,37 @@ def test_transparency_costs_what_goes_on(rays):
 
 
 def test_nothing_is_said_of_what_nothing_is_known_of():
-    """With a true clock: figures of work that was done, less than all of it; the report has them, and null for the rest."""
+    """With a true clock: figures of work that was done, less than all of it; the report has them, null for the rest of what
+    was needed, and for what was not an estimate, marked as one."""
     baked, cost = costs([box("room", n=6), BLOCK], lamps=[LAMP])
     assert all(0 < cost[name] < baked.seconds["cpu"] for name in ("occlusion", "lamps", "interreflection"))
     report = make_report(baked, scene="", version="", layers=(), domain="corner", start=0.0, read=0.0, write=0.0)
-    assert {e["name"]: e["seconds"] for e in report["effects"]} == cost
-    assert all(e["seconds"] is None for e in report["effects"] if not e["needed"])
+    assert {e["name"]: e["seconds"] if e["needed"] else None for e in report["effects"]} == cost
+    assert all(e["estimated"] != e["needed"] for e in report["effects"] if e["seconds"] is not None)
+    assert all(e["seconds"] is not None for e in report["effects"] if not e["needed"])
+
+
+@pytest.mark.parametrize(
+    ("name", "scene"),
+    {
+        "occlusion": dict(meshes=[box("room", n=16)], lamps=[LAMP]),
+        "interreflection": dict(meshes=[sheet("floor", [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], 40, 40)], lamps=[LAMP]),
+    }.items(),
+)  # fmt: skip
+def test_what_was_left_out_would_have_cost_about_what_it_then_does(rays, name, scene):
+    """By the clock that counts rays, which knows what they are for; those of a leave-out and of the bake with it forced."""
+    baked, _ = costs(**scene)
+    foretold = next(e.seconds for e in baked.survey.effects if e.name == name)
+    before = baked.rays
+    forced, _ = costs(**scene, force=(name,))
+    assert 0.5 < foretold / (forced.rays - before) < 2.0
+    assert not next(e.needed for e in baked.survey.effects if e.name == name)
+
+
+def test_an_effect_that_had_nothing_to_do_would_have_cost_nothing(rays):
+    baked, _ = costs([box("room", n=8), BLOCK], lamps=[LAMP])
+    left = {e.name: e.seconds for e in baked.survey.effects if not e.needed}
+    assert left["emission"] == left["sky"] == left["textures"] == left["instances"] == 0 < left["transparency"]
 
 
 def test_an_empty_convex_room_tests_nothing(rays):
