@@ -214,7 +214,7 @@ class Job:
         settings = self.options.settings(self.scene)
         try:
             self.result = yield from bake(
-                self.scene, settings, self.cells, self.output.place, self._group_of, self._state
+                self.scene, settings, self.cells, self.output.place, self._group_of, self._state, self.output.average
             )
         except StateError as problem:
             raise Refused(f"the state file: {problem}") from None

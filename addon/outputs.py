@@ -16,7 +16,7 @@ from ..core.atlas import NoUnwrapper, make_atlas, read_atlas, unpacked_atlas
 from ..core.groups import make_groups
 from ..core.health import Finding
 from ..core.layers import PLAIN, layer_colors, luminance, texel_colors
-from ..core.lightmap import Texels, find_seams, look_up, make_images, make_texels
+from ..core.lightmap import Texels, average_cut, find_seams, look_up, make_images, make_texels
 from ..core.lights import emitting_polygons
 from ..core.points import Points
 from ..core.raycast import RayCaster
@@ -56,7 +56,7 @@ class VertexColors:
 
     def __init__(self, options):
         self.options = options
-        self.place, self.lightmaps, self.findings, self.exposure = None, (), (), None
+        self.place, self.average, self.lightmaps, self.findings, self.exposure = None, None, (), (), None
 
     def read(self, context, scene, targets):
         """Check, before any work, that nothing of the user's is in the way, and that what is to be filled is there."""
@@ -219,7 +219,7 @@ class Lightmaps:
     def place(self, scene, flipped, cells, light, kept=None):
         """The texels of the scene's written objects, as `bake` asks for them."""
         yield from ()  # nothing to wait for
-        o = self.options
+        self._scene, o = scene, self.options
         if kept and self._uv is None:
             self.atlas = unpacked_atlas("atlas", kept)
             self._flipped = kept["flipped"]
@@ -242,6 +242,10 @@ class Lightmaps:
             return scene, from_arrays(Texels, "points", kept), kept
         self._flipped, texels = flipped, make_texels(scene, self.atlas, flipped, cells)
         return scene, texels, {**to_arrays("points", texels), **to_arrays("atlas", self.atlas), "flipped": flipped}
+
+    def average(self, texels, light, cells, seed):
+        """The direct light of texels that shadows cut, as `bake` asks for it."""
+        return average_cut(self._scene, self.atlas, self._flipped, texels, light, cells, seed)
 
     copies = staticmethod(lambda objects: Copies())  # of objects, to show the images, there are some anyhow
 

@@ -95,13 +95,15 @@ class Bake:
     state: Callable | None = field(default=None, repr=False, compare=False)
 
 
-def bake(scene, settings, cells, place=None, group_of=None, state=None):
+def bake(scene, settings, cells, place=None, group_of=None, state=None, average=None):
     """Bake a scene: a generator that yields Progress and returns the Bake. cells: any `Cells`; they are left running.
     place: generator function of (scene, flipped, cells, light, kept) that returns the Scene to write, its Points, and
     {name: array} to keep: given as `kept`, else None, it returns the same again without a ray; None for the scene's corners.
     light: generator function of Points, that returns (P,) what they get, roughly. group_of: the light
     group of a lamp's or object's name, see groups.make_groups; None keeps no groups. state: the State of a bake of the same
-    scene, to go on from: no ray of it is cast again. Raises StateError if it is not the same scene."""
+    scene, to go on from: no ray of it is cast again. average: generator function of (points, light, cells, seed) that returns
+    ids (K,) of the points whose direct light is that of a whole surface around them, and that light (C, K); None for none.
+    Raises StateError if it is not the same scene."""
     scene = mend(scene)
     groups = make_groups(scene, group_of, emitting_polygons(scene)) if group_of else None
     if state is not None:
@@ -113,7 +115,7 @@ def bake(scene, settings, cells, place=None, group_of=None, state=None):
             best = course.result()
             course.refine()
             yield from _each(course.through(), lambda progress: replace(progress, take=lambda: best))
-        yield from course.finish()
+        yield from course.finish(average)
         course.clock.lap("gather")
         return course.result()
     finally:
@@ -169,7 +171,8 @@ class _Course:
         if state:
             usual, self.settings = self.settings, state.knobs(settings)
             self._coarse = finer(usual, self.settings)
-        self.solution = self.points = self.side = self.gathering = self.control = self.estimate = self.openness = None
+        self.solution = self.points = self.side = self.gathering = self.control = self.estimate = None
+        self.openness = self.averaged = None
         self._places, self._round, self._solved = None, None, settings.error
         self._bounds, self._doubt, self.price = [], inf, state.price if state else ()
         self._before = state.seconds if state else {}
@@ -306,6 +309,8 @@ class _Course:
             self._bounds, self._doubt = list(known.bounds), known.doubt
         if known and known.openness and known.openness[0] == self.settings.occlusion:
             self.openness = known.openness[1]
+        if known:
+            self.averaged = known.averaged
         if known and known.control is not None and known.each_object >= self.settings.per_object:
             self.control = Control(
                 self.points, *known.control, self.cells, self.settings, self._group_count, known.traced
@@ -464,7 +469,12 @@ class _Course:
         points, solution, error = self.points, solution or self.solution, self.settings.error
         reached = self.estimate is not None and self._error <= error
         more = (*thin_findings(self.scene, points), *self._coarse_findings())
-        light = by_group = refill(points, light)
+        light = refill(points, light)
+        if self.averaged is not None:
+            ids, direct = self.averaged
+            light = replace(light, direct=light.direct.copy())
+            light.direct[:, ids] = direct
+        by_group = light
         return Bake(
             self.written,
             self.settings,
@@ -543,13 +553,19 @@ class _Course:
             found.update(each_object=self.settings.per_object or known.each_object)
         if self.openness is not None:
             found.update(openness=(self.settings.occlusion, self.openness))
+        if self.averaged is not None:
+            found.update(averaged=self.averaged)
         return replace(known, **found)
 
-    def finish(self):
-        """What is asked for beside the light."""
+    def finish(self, average=None):
+        """What is asked for beside the light; average: see `bake`."""
         if self.settings.occlusion is not None and self.openness is None:
             finding = find_openness(self.points, self.settings.occlusion, self.cells, self.settings.seed)
             self.openness = yield from _each(finding, lambda done: self._of_points(done[0]))
+        if average and self.averaged is None:
+            light = self.gathering.light(self.scene.diagonal)
+            averaging = average(self.points, light, self.cells, self.settings.seed)
+            self.averaged = yield from _each(averaging, lambda done: self._of_points(*done))
 
     def _show_early(self):
         """Make points to show the light of an unfinished transport at, if they can be known before its end."""

@@ -119,7 +119,7 @@ def control_points(kernel, rays, seed, **points):
     bring when they read the patches that they meet [W/m^2]."""
     points = Block(**points)
     reflected, found = kernel.arrays["gather.reflected"], kernel.arrays["gather.found"]
-    truth = _direct(kernel, points, min(rays, DIRECT_TESTS), seed)
+    truth = direct_light(kernel, points, kernel.factors_at(points), min(rays, DIRECT_TESTS), FEWEST_TESTS, seed)
     patches = np.zeros_like(truth)
     shooter = Shooter(kernel, points, rays, seed)
     for part in blocks(len(points), shooter.each):
@@ -141,16 +141,16 @@ def _samples(ids, rays, seed):
     return fraction(shift.T[:, :, None] + R5[:, None, None] * np.arange(rays)).reshape(5, -1)
 
 
-def _direct(kernel, points, tests, seed):
+def direct_light(kernel, points, factor, tests, fewest, seed):
     """(C, K) light of the sampled sources at the points of a Block [W/m^2], from many test rays: `tests` to one that gives all, and
-    fewer to those that give less."""
+    fewer to those that give less. factor: (K, S) what they give with nothing in between, per unit of strength."""
     sources, ids = kernel.sources, points.ids
     light = np.zeros((sources.strength.shape[1], len(ids)))
     if not len(sources):
         return light
     position, normal, geometric = points.position, points.normal, points.geometric
     start = kernel.caster.start(position, geometric)
-    factor = kernel.factors_at(points).T
+    factor = factor.T
     given = np.array([f.sum() * sources.strength[s].max() for s, f in enumerate(factor)])
     share = np.sqrt(given / max(given.sum(), 1e-300))
     for s in range(len(sources)):
@@ -160,7 +160,7 @@ def _direct(kernel, points, tests, seed):
         lit = np.flatnonzero(factor[s])
         if not len(lit):
             continue
-        count = max(int(np.ceil(tests * share[s])), FEWEST_TESTS)
+        count = max(int(np.ceil(tests * share[s])), fewest)
         owner, number = np.repeat(lit, count), np.arange(count)
         shift = scatter(ids[lit].astype(np.int64)[:, None] * 2 + np.arange(2) + (s << 40), CONTROL + 8 * seed)
         a, b = (fraction(number * R2[k] + shift[:, k, None]) for k in range(2))

@@ -1,17 +1,21 @@
 """Lightmaps: texels as points, and what the light at them becomes in an image.
 
-Owns which texels are baked and where on the surface each is asked, what is done with those that something covers, the
-matching of light across the seams between charts, and the filling of all that no chart covers.
+Owns which texels are baked and where on the surface each is asked, what is done with those that something covers, the mean
+over texels that the edge of a shadow cuts, the matching of light across the seams between charts, and the filling of all
+that no chart covers.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from .atlas import rasterize
-from .points import Points
+from .atlas import nearest, rasterize
+from .control import direct_light
+from .lights import unoccluded
+from .points import Block, Points, block_arrays
 from .raycast import OFFSET
 from .sampling import hemisphere, lattice, morton_order, tangents
 from .vectors import TINY, counted, cross, dot, length, numbered, unit
@@ -22,6 +26,12 @@ BEYOND = 0.1  # how far past what covers it a texel is moved, in texels
 RIM = 1e-3  # a texel is on the rim of its triangle if a corner's weight is less
 INSET = 0.1  # how far texels on the rim are moved toward the triangle's middle: in texels, and as a share of the way
 TASK_TEXELS = 1 << 13
+
+CUT = 0.2  # share of all light at a texel by which direct light beside it differs if a shadow's edge runs there
+PLACES = 16  # in such a texel, at which its direct light is asked for
+TESTS = 4  # test rays at each of them toward a source that gives all of the light
+ON = 1e-9  # texels: a place so near to a triangle lies on it
+TASK_PLACES = 1 << 11
 
 ALIKE = 0.996  # cosine between shading normals of the two sides of a seam across which light goes on
 STEP = 1e-4  # how far beyond an edge, and how high above, the surface of the other side is looked for, in diagonals
@@ -55,6 +65,27 @@ def make_texels(scene, atlas, flipped, cells):
     flipped: (P,) bool, polygons whose back side's light is asked for. cells: started with the scene's arrays.
     """
     row, image, column, line, weight = _texels(atlas)
+    position, normal, geometric, area, edge = _places(scene, atlas, flipped, row, weight)
+    position, moved, open_ = _settle(scene, position, geometric, edge, flipped, cells)
+    order = np.flatnonzero(open_)
+    order = order[morton_order(position[order])]
+    own = [x[order] for x in (image, line, column)]
+    chart = atlas.chart[row[order]]
+    start, neighbor = _grid_neighbors(atlas, *own, chart)
+    none = np.zeros(0, np.int32)
+    return Texels(
+        position=position[order], normal=normal[order], geometric=geometric[order], area=area[order],
+        object=scene.polygon_object[scene.triangle_polygon[atlas.triangle[row[order]]]].astype(np.int32),
+        neighbor_start=start, neighbor=neighbor, corner=none, corner_point=none, thin=np.zeros(len(order), bool),
+        smooth=np.ones(len(order), bool),
+        row=row[order], weight=weight[order], image=own[0], column=own[2], line=own[1], moved=moved[order],
+        hidden=int(len(open_) - len(order)),
+    )  # fmt: skip
+
+
+def _places(scene, atlas, flipped, row, weight):
+    """Where on the surface rows (K,) of an atlas, with weights (K, 3) of their corners, are asked: position, normal, and
+    geometric normal (K, 3); area of a texel there [m^2] and its edge [m], (K,)."""
     triangle = atlas.triangle[row]
     corner = scene.triangle_corner[triangle]
     sign = np.where(flipped[scene.triangle_polygon[triangle]], -1.0, 1.0)[:, None]
@@ -76,21 +107,7 @@ def make_texels(scene, atlas, flipped, cells):
     share = np.minimum(INSET * edge / np.maximum(length(inward), TINY), INSET)
     position = position + np.where(weight.min(axis=1) < RIM, share, 0.0)[:, None] * inward
 
-    position, moved, open_ = _settle(scene, position, geometric, edge, flipped, cells)
-    order = np.flatnonzero(open_)
-    order = order[morton_order(position[order])]
-    own = [x[order] for x in (image, line, column)]
-    chart = atlas.chart[row[order]]
-    start, neighbor = _grid_neighbors(atlas, *own, chart)
-    none = np.zeros(0, np.int32)
-    return Texels(
-        position=position[order], normal=normal[order], geometric=geometric[order], area=area[order],
-        object=scene.polygon_object[scene.triangle_polygon[triangle[order]]].astype(np.int32),
-        neighbor_start=start, neighbor=neighbor, corner=none, corner_point=none, thin=np.zeros(len(order), bool),
-        smooth=np.ones(len(order), bool),
-        row=row[order], weight=weight[order], image=own[0], column=own[2], line=own[1], moved=moved[order],
-        hidden=int(len(open_) - len(order)),
-    )  # fmt: skip
+    return position, normal, geometric, area, edge
 
 
 def _texels(atlas):
@@ -154,6 +171,77 @@ def _settle(scene, position, normal, edge, flipped, cells):
     for part, result in zip(parts, results):
         position[part], moved[part], free[part] = result["position"], result["moved"], result["open"]
     return position, moved, free
+
+
+def average_cut(scene, atlas, flipped, texels, light, cells, seed):
+    """Texels (K,) that the edge of a shadow cuts, and their direct light (C, K), the mean over all of each that the chart has
+    and nothing covers: a generator that yields (places done, all places).
+
+    light: the Light at the texels; flipped: (P,) bool, polygons whose back side's light is asked for. cells: started with
+    the scene's arrays and its sources.
+    """
+    ids = _cut(texels, light)
+    owner, row, weight = _parts(atlas, texels, ids)
+    position, normal, geometric, _, _ = _places(scene, atlas, flipped, row, weight)
+    _, _, free = _settle(scene, position, geometric, np.zeros(len(row)), flipped, cells)
+    owner, places = owner[free], _Places(position[free], normal[free], geometric[free])
+    parts = [np.arange(k, min(k + TASK_PLACES, len(owner))) for k in range(0, len(owner), TASK_PLACES)]
+    total, each = np.zeros((len(light.direct), len(ids))), (block_arrays(places, p, joined=False) for p in parts)
+    for part, result in zip(parts, cells.flow("parts", (dict(seed=seed, **arrays) for arrays in each))):
+        for channel, values in zip(total, result["direct"]):
+            channel += np.bincount(owner[part], values, len(ids))
+        yield int(part[-1]) + 1, len(owner)
+    number = np.bincount(owner, minlength=len(ids))
+    return ids[number > 0], total[:, number > 0] / number[number > 0]
+
+
+class _Places(NamedTuple):
+    """Places on surfaces, their normals and geometric normals (N, 3)."""
+
+    position: np.ndarray
+    normal: np.ndarray
+    geometric: np.ndarray
+
+
+def _cut(texels, light):
+    """(K,) texels beside which direct light is another."""
+    here, there = np.repeat(np.arange(len(texels)), np.diff(texels.neighbor_start)), texels.neighbor
+    direct = light.direct.sum(axis=0)
+    total = direct + light.indirect.sum(axis=0)
+    differs = np.abs(direct[here] - direct[there]) > CUT * np.maximum(total[here], total[there])
+    return np.flatnonzero(np.bincount(here, differs, len(texels)))
+
+
+def _parts(atlas, texels, ids):
+    """Places within texels ids (K,), as far as their charts have them: which of the ids (N,), row of the atlas (N,), and weights
+    (N, 3) of its corners."""
+    width, height = atlas.size.max(axis=0)
+    key = (texels.image[ids] * height + texels.line[ids]) * width + texels.column[ids]
+    order = np.argsort(key)
+    chart = atlas.chart[texels.row[ids]]
+    found = [(np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.int64), np.zeros((0, 3)))]
+    step = np.stack(lattice(PLACES), axis=1)
+    for row, column, line, _, _ in rasterize(atlas.place, atlas.size[atlas.image]) if len(ids) else ():
+        own = (atlas.image[row] * height + line) * width + column
+        at = order[np.minimum(np.searchsorted(key[order], own), len(ids) - 1)]
+        met = np.flatnonzero((key[at] == own) & (chart[at] == atlas.chart[row]))
+        row, at = np.repeat(row[met], PLACES), np.repeat(at[met], PLACES)
+        place = np.stack([column[met], line[met]], axis=1)[:, None] + step
+        weight, distance = nearest(atlas.place[row], place.reshape(-1, 2))
+        inside = distance < ON
+        number = (at * PLACES + np.tile(np.arange(PLACES), len(met)))[inside]
+        found.append(_first(number, distance[inside], row[inside], weight[inside]))
+    number, _, row, weight = _first(*(np.concatenate(part) for part in zip(*found)))
+    return number // PLACES, row, weight
+
+
+def light_parts(kernel, seed, **places):
+    """{"direct": (C, K)} direct light at the places of a Block, parts of texels, see `average_cut` [W/m^2]."""
+    places = Block(**places)
+    each = range(len(kernel.sources))
+    factor = [unoccluded(kernel.sources, s, places.position, places.normal) for s in each]
+    factor = np.stack(factor, axis=1) if factor else np.zeros((len(places), 0))
+    return {"direct": direct_light(kernel, places, factor, TESTS, 1, seed)}
 
 
 def settle_points(kernel, position, normal, edge):

@@ -46,7 +46,8 @@ class State:
     were made for. solution: perhaps unfinished; solved: the error that it was finished for, infinite before. places: arrays from which points are made again
     without a ray, {name: array}; side: (P,) the patch side of each. gathered: replicates, and the bound of the transport
     that each of them read, bounds. control: ids and weights of control points, drawn from each object or not; traced: their
-    truths; doubt: that of the estimate before they were last traced, since the last replicate. openness: (distance, (P,)). price: the list that the
+    truths; doubt: that of the estimate before they were last traced, since the last replicate. openness: (distance, (P,)).
+    averaged: ids (K,) of points whose direct light is that of a whole surface around them, and that light (C, K). price: the list that the
     pilot foretold. seconds: {phase: spent so far}, and "replicates" those on `rays` gather rays. note: whoever asked for
     the bake may leave one.
     """
@@ -67,6 +68,7 @@ class State:
     traced: Traced | None = None
     doubt: float = inf
     openness: tuple | None = None
+    averaged: tuple | None = None
     price: tuple = ()
     seconds: dict = field(default_factory=dict)
     note: str = ""
@@ -300,6 +302,8 @@ def _packed(state):
         arrays.update(to_arrays("control", state.traced))
     if state.openness is not None:
         told["distance"], arrays["openness"] = state.openness
+    if state.averaged is not None:
+        arrays.update(zip(("averaged.ids", "averaged.direct"), state.averaged))
     return arrays, told
 
 
@@ -345,6 +349,8 @@ def _unpacked(arrays, told):
         found["traced"] = replace(traced, **{name: int(getattr(traced, name)) for name in ("rays", "rounds", "asked")})
     if "openness" in arrays:
         found["openness"] = told["distance"], arrays["openness"]
+    if "averaged.ids" in arrays:
+        found["averaged"] = arrays["averaged.ids"], arrays["averaged.direct"]
     return replace(state, **found)
 
 

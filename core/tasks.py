@@ -7,7 +7,7 @@ import numpy as np
 from .contacts import find_contacts
 from .control import control_points
 from .gather import find_sides, gather_points
-from .lightmap import settle_points
+from .lightmap import light_parts, settle_points
 from .occlusion import openness_of_points
 from .placing import find_blocked, find_reach
 from .rows import analytic_rows, guide_rows, light_patches, trace_rows
@@ -38,6 +38,7 @@ TASKS = {
     "gather": gather_points,
     "sides": find_sides,
     "settle": settle_points,
+    "parts": light_parts,
     "openness": openness_of_points,
     "control": control_points,
     "wait": wait,

@@ -9,9 +9,13 @@ import numpy as np
 import pytest
 
 from cell_radiosity.core.atlas import NoUnwrapper, make_atlas, rasterize, read_atlas
-from cell_radiosity.core.lightmap import find_seams, look_up, make_images, make_texels
+from cell_radiosity.core.bake import restored
+from cell_radiosity.core.cells import make_cells
+from cell_radiosity.core.lightmap import Texels, average_cut, find_seams, look_up, make_images, make_texels
 from cell_radiosity.core.polygons import clip_polygons
 from cell_radiosity.core.raycast import RayCaster
+from cell_radiosity.core.records import from_arrays, to_arrays
+from cell_radiosity.core.state import load_state, save_state
 from cell_radiosity.core.vectors import numbered
 
 from scenes import Lamp, Material, Settings, bake, box, icosphere, join_meshes, point_light, run, sheet
@@ -27,14 +31,26 @@ def round_ball(place=(0, 0, 0), radius=0.4, splits=3):
     )
 
 
-def bake_map(scene, atlas, cells, **settings):
+def bake_map(scene, atlas, cells, state=None, averaged=True, **settings):
     """The Bake of a scene at the texels of an atlas, which are its points."""
+    texels, average = at_texels(atlas)
+    return run(bake(scene, Settings(**settings), cells, texels, state=state, average=average if averaged else None))
+
+
+def at_texels(atlas):
+    """What `bake` takes as `place` and as `average`."""
+    known = {}
 
     def place(scene, flipped, cells, light, kept):
         yield from ()
-        return scene, make_texels(scene, atlas, flipped, cells), {}
+        known.update(scene=scene, flipped=flipped)
+        texels = from_arrays(Texels, "points", kept) if kept else make_texels(scene, atlas, flipped, cells)
+        return scene, texels, to_arrays("points", texels)
 
-    return run(bake(scene, Settings(**settings), cells, place))
+    def average(texels, light, cells, seed):
+        return average_cut(known["scene"], atlas, known["flipped"], texels, light, cells, seed)
+
+    return place, average
 
 
 def seams_of(scene, atlas):
@@ -255,3 +271,85 @@ def test_texels_under_a_box_do_not_darken_the_floor_beside_it(cells):
     assert baked.points.moved.sum() >= 4 * 8
     (image,) = make_images(atlas, baked.points, baked.light.direct)
     np.testing.assert_allclose(image, 1.0, atol=1e-9)  # the sun stands overhead: all the floor that shows is lit
+
+
+SUN = np.array((0.5, 0.3, -1.0))
+BLOCK = np.array(((1.3, 1.5, 0.0), (2.1, 2.2, 1.0)))
+
+
+def sunny_floor(glow=0.0):
+    """A floor, to be written, and a black block on it under a sun that is a mere point: Scene and Atlas."""
+    floor = sheet("floor", ((0, 0, 0), (4, 0, 0), (4, 4, 0), (0, 4, 0)))
+    back = -SUN / np.sqrt((SUN**2).sum())
+    side = np.cross((0, 1, 0), back) / np.sqrt((np.cross((0, 1, 0), back) ** 2).sum())
+    lamps = [Lamp("sun", (1, 1, 1), axes=(tuple(side), tuple(np.cross(back, side)), tuple(back)))]
+    if glow:
+        lamps.append(Lamp("area", (glow, glow, glow), (2, 2, 3), name="glow"))
+    block = box("block", *BLOCK, inward=False)
+    scene = join_meshes([floor, block], [Material(reflectance=(0, 0, 0))], lamps, written=[True, False])
+    return scene, make_atlas(scene, density=16.0)
+
+
+def sun_in_texels(scene, atlas, texels, parts=24):
+    """(P,) share of the part of each texel that shows, of which the sun is seen, by a fine grid."""
+    place, vertices = atlas.place[texels.row], scene.vertices[scene.triangles[atlas.triangle[texels.row]]]
+    a, b = place[:, 1] - place[:, 0], place[:, 2] - place[:, 0]
+    det = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    lit, seen = np.zeros(len(texels)), np.zeros(len(texels))
+    for x in (np.arange(parts) + 0.5) / parts:
+        for y in (np.arange(parts) + 0.5) / parts:
+            to = np.stack([texels.column + x, texels.line + y], axis=1) - place[:, 0]
+            s, t = (to[:, 0] * b[:, 1] - to[:, 1] * b[:, 0]) / det, (a[:, 0] * to[:, 1] - a[:, 1] * to[:, 0]) / det
+            at = np.einsum("vk,kvd->kd", np.stack([1 - s - t, s, t]), vertices)
+            near, far = np.sort((BLOCK[:, None] - at) / -SUN, axis=0)
+            shows = ((at[:, :2] >= 0) & (at[:, :2] <= 4)).all(axis=1)
+            shows &= ~((at >= BLOCK[0]) & (at <= BLOCK[1]))[:, :2].all(axis=1)
+            lit += shows & (np.maximum(near.max(axis=1), 1e-9) >= far.min(axis=1))
+            seen += shows
+    return lit / np.maximum(seen, 1), seen > 0
+
+
+def test_texels_that_a_shadow_cuts_have_the_mean_over_their_surface(cells):
+    """And only these are another than what their middle gets: so little is asked for beside."""
+    scene, atlas = sunny_floor()
+    baked, plain = (bake_map(scene, atlas, cells, averaged=a) for a in (True, False))
+    share, shows = sun_in_texels(scene, atlas, baked.points)
+    truth = share[shows] / np.sqrt(1 + 0.25 + 0.09)
+    off = [np.abs(b.light.direct[0, shows] - truth) for b in (baked, plain)]
+    error = [np.sqrt((x**2).sum() / (truth**2).sum()) for x in off]
+    assert error[0] < 0.006
+    assert error[1] > 0.03
+    assert off[0].max() < 0.12
+    changed = (baked.light.direct != plain.light.direct).any(axis=0)
+    cut = np.flatnonzero(shows)[(truth > 0.01 * truth.max()) & (truth < 0.99 * truth.max())]
+    assert changed[cut].mean() > 0.9
+    assert changed.sum() < 0.03 * len(changed)
+    assert baked.rays < 1.15 * plain.rays
+
+
+def test_what_is_reflected_and_what_no_edge_cuts_stays_as_it_is(cells):
+    """A lamp beside the sun: its soft light is the same, whatever is known of the sun's."""
+    scene, atlas = sunny_floor(glow=1.0)
+    baked, plain = (bake_map(scene, atlas, cells, averaged=a) for a in (True, False))
+    assert np.array_equal(baked.light.indirect, plain.light.indirect)
+    changed = (baked.light.direct != plain.light.direct).any(axis=0)
+    assert 0 < changed.sum() < 0.05 * len(changed)
+    assert baked.light.direct.sum() == pytest.approx(plain.light.direct.sum(), rel=2e-3)
+    open_ = replace(scene, lamps=scene.lamps[1:])
+    baked, plain = (bake_map(open_, atlas, cells, averaged=a, gather_rays=64) for a in (True, False))
+    changed = (baked.light.direct != plain.light.direct).any(axis=0)
+    assert not changed[np.abs(baked.points.position[:, :2] - 1.8).max(axis=1) > 1.2].any()
+
+
+def test_means_over_texels_have_the_same_bits_with_other_cells_and_from_a_state(cells, tmp_path):
+    scene, atlas = sunny_floor(glow=1.0)
+    baked = bake_map(scene, atlas, cells)
+    with make_cells(1) as one:
+        other = bake_map(scene, atlas, one)
+    save_state(baked.state(), tmp_path / "s")
+    state = load_state(tmp_path / "s")
+    again = bake_map(scene, atlas, cells, state=state)
+    back = run(restored(scene, state, at_texels(atlas)[0]))
+    for each in (other, again, back):
+        assert np.array_equal(each.light.direct, baked.light.direct)
+    assert back.rays == 0
