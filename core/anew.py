@@ -49,6 +49,13 @@ def reflect_anew(kernel, hit, chosen, x):
     return reflected + through[:, own] if through.size else reflected
 
 
+def first_light(kernel, position, normal, samples):
+    """{"light": (K,)} irradiance [W/m^2], the mean of the channels, at places on surfaces with normals (K, 3) from one source
+    each; samples: (3, K) in [0, 1)."""
+    start = kernel.caster.start(position, normal)
+    return {"light": _one_source(kernel, position, normal, start, *samples).mean(axis=0)}
+
+
 def _one_source(kernel, position, normal, start, pick, a, b):
     """(C, K) direct irradiance at points (K, 3) [W/m^2] from one source each, picked by what it may give, over the
     probability of the pick. pick, a, b: (K,) in [0, 1)."""

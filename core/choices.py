@@ -9,6 +9,9 @@ from .settings import Settings
 
 EASED = 4.0  # times the length of patches where nothing casts a shadow
 EASED_FROM = 0.01  # the error asked for: below it the longer rows cost more than the patches save
+# Patches are one such part of the scene's focus long, with rows of so many rays, from an error of reflected light on, where
+# sun and sky cast sharp shadows: what such patches miss is up to 20, 4.5 and 2.6 % of reflected light (measured).
+COARSE = ((0.6, 12, 16), (0.1, 18, 16), (0.05, 25, 8))
 CONTROL_POINTS = 320
 EACH_OBJECT = 24  # of them, if every object is to reach the error
 MOST_CONTROL_POINTS = 2000
@@ -22,14 +25,23 @@ CONTROL_COST = 6  # gather rays that a control ray costs: those of both truths, 
 
 
 def eased(settings, found):
-    """Settings for a room in which nothing casts a shadow, unless patches were asked for: light then varies as slowly as
-    the room is wide, so patches several times as long, with rows of twice the rays, do as well."""
-    usual = Settings.for_error(settings.error)
-    if any(found.needs(name) for name in ("occlusion", "sky", "textures", "transparency")):
+    """Settings with the longest patches and the shortest rows that do, by what the survey found, unless others were asked for.
+
+    In a room in which nothing casts a shadow light varies as slowly as the room is wide, so patches several times as long,
+    with rows of twice the rays, do as well. Elsewhere what patches miss counts by the share of light that is reflected.
+    """
+    usual = Settings.for_error(settings.error, per_object=settings.per_object)
+    if (settings.patch_edge, settings.row_rays, settings.rows) != (usual.patch_edge, usual.row_rays, "rays"):
         return settings
-    if settings.error < EASED_FROM or settings.patch_edge != usual.patch_edge or settings.rows != "rays":
+    if not any(found.needs(name) for name in ("occlusion", "sky", "textures", "transparency")):
+        if settings.error < EASED_FROM:
+            return settings
+        return replace(settings, patch_edge=EASED * settings.patch_edge, row_rays=2 * settings.row_rays)
+    if settings.per_object:  # in a dim object much may be reflected
         return settings
-    return replace(settings, patch_edge=EASED * settings.patch_edge, row_rays=2 * settings.row_rays)
+    enough = settings.error / max(found.indirect, 1e-9)
+    parts, rays = next(((p, n) for least, p, n in COARSE if enough >= least), (None, None))
+    return replace(settings, patch_edge=1 / parts, row_rays=rays) if parts else settings
 
 
 def finer(wanted, settings):

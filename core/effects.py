@@ -17,8 +17,9 @@ from .graphs import components
 from .health import Finding, audit, mend
 from .kernel import cast_arrays
 from .lights import emitting_polygons, lamp_outline, lamp_power
-from .sampling import R2, R4, fraction, hemisphere, scatter, tangents
+from .sampling import R2, R4, fraction, hemisphere, scatter
 from .settings import EFFECTS, Settings
+from .share import COMMON, face_rays, indirect_share
 from .sky import split_sky
 from .surfaces import LARGEST_REFLECTANCE
 from .vectors import dot, length, unit
@@ -36,7 +37,6 @@ WELD = 1e-6  # positions closer than this share of the scene's diagonal are the 
 MOST_TESTS = 200_000_000  # of a vertex against a plane; a room of more faces than that allows is not called convex
 MOST_TRIANGLES = 300_000  # that are sorted into pieces by their corners; in larger scenes each object is a piece
 TASK_RAYS = 1 << 14
-INSIDE = 0.998  # how far toward its rim rays set out from a face
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,8 @@ class Survey:
     """Effects, in the order of `EFFECTS`; ignored: (object, reason) of what cannot be simulated; health: findings.
 
     island: (P, 2) int32 number of the part of the scene that each polygon's front and back belong to: light of one
-    never reaches another. islands: how many of them have light.
+    never reaches another. islands: how many of them have light. indirect: share of the light that is reflected, roughly
+    (root mean square), as far as that has been looked at.
     """
 
     effects: tuple
@@ -63,6 +64,7 @@ class Survey:
     health: tuple = ()
     island: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), np.int32))
     islands: int = 1
+    indirect: float = COMMON
 
     def needs(self, name):
         """Whether an effect is simulated."""
@@ -122,6 +124,7 @@ def survey(scene, settings=None, cells=None):
         health=scene.health,
         island=look.island,
         islands=len(look.lit_islands),
+        indirect=look.indirect(),
     )
 
 
@@ -179,7 +182,7 @@ class _Look:
         meets = np.zeros(2)
         suns = [lamp for lamp in self.lamps if lamp.kind == "sun"]
         for side in (0, 1):
-            position, normal, direction = _face_rays(scene, triangle, number, side)
+            position, normal, direction = face_rays(scene, triangle, number, side)
             hit, back = self._hits(position, normal, direction)
             met = hit >= 0
             here.append(nodes[side][triangle[met]])
@@ -201,7 +204,7 @@ class _Look:
                 lit[_nodes_met(nodes, hit, back)] = True
         glowing, number = self._glowing()
         for side in (0, 1):
-            hit, back = self._hits(*_face_rays(scene, glowing, number, side))
+            hit, back = self._hits(*face_rays(scene, glowing, number, side))
             lit[_nodes_met(nodes, hit, back)] = True
         self.sky = _sky(self)
         if self.sky.needed or (scene.world.brightest > 0 and _forced(self.settings, "sky")):
@@ -247,6 +250,15 @@ class _Look:
         count = LAMP_RAYS * min(len(self.emitting), MOST_LAMPS)
         place = (np.arange(count) + 0.5) / count * upper[-1]
         return triangle[np.minimum(np.searchsorted(upper, place, side="right"), len(triangle) - 1)], np.arange(count)
+
+    def indirect(self):
+        """Share of the light that is reflected. It is looked at only where sun or sky shine: elsewhere it is much of it."""
+        scene, used = self.scene, np.unique(self.material)
+        outdoors = self.sky.needed or any(lamp.kind == "sun" for lamp in self.lamps)
+        unclear = self.materials.thin[used].any() or (scene.readings is not None and len(scene.readings.triangle))
+        if not outdoors or unclear:
+            return COMMON
+        return indirect_share(scene, self.materials.returned, self._cells, self.settings.side == "back")
 
     def _hits(self, position, normal, direction):
         """Triangle (K,), -1 where a ray escapes, and whether it met its back (K,)."""
@@ -585,19 +597,6 @@ def _pieces(scene):
     count = int(vertex.max()) + 1
     label = components(corner, count + polygon, count + len(size))[count:]
     return np.unique(label, return_inverse=True)[1].reshape(-1)
-
-
-def _face_rays(scene, triangle, number, side):
-    """Position, normal and direction (K, 3) of cosine-distributed rays from triangles (K,), one each."""
-    a, b, c = np.moveaxis(scene.vertices[scene.triangles[triangle]], 1, 0)
-    normal = scene.triangle_normal_area[0][triangle] * (1 - 2 * side)
-    u, v, s, t = fraction(number[:, None] * np.array(R4) + scatter(np.arange(4) + 4 * side, 13)).T
-    # A little inside: rays from the very rim of a face see past its neighbors.
-    root, t = np.sqrt(INSIDE * s)[:, None], INSIDE * t[:, None] + (1 - INSIDE) / 2
-    position = a + root * (1 - t) * (b - a) + root * t * (c - a)
-    local = hemisphere(u, v)
-    t1, t2 = tangents(normal)
-    return position, normal, local[:, :1] * t1 + local[:, 1:2] * t2 + local[:, 2:] * normal
 
 
 def _lamp_rays(lamp):

@@ -120,6 +120,8 @@ class Kernel:
     def factors_at(self, block):
         """(N, S) those at the points of a Block."""
         ids = block.ids
+        if not len(self.sources):
+            return np.zeros((len(ids), 0))
         new = slice(None) if self.factors is None else np.isnan(self.factors[ids, 0])
         position, normal = block.position[new], block.normal[new]
         found = np.stack([unoccluded(self.sources, s, position, normal) for s in range(len(self.sources))], axis=1)

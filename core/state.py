@@ -29,7 +29,7 @@ from .records import from_arrays, to_arrays
 from .saving import written_whole
 from .settings import Settings
 
-FORMAT = 3  # of the file; higher when samples of the same seed become others
+FORMAT = 4  # of the file; higher when samples of the same seed become others
 ANEW = "name another state file to bake it anew"
 DAMAGED = f"it is not a state file, or is damaged: {ANEW}"
 
@@ -268,6 +268,7 @@ def _packed(state):
         "ignored": survey.ignored,
         "health": [asdict(f) for f in survey.health],
         "islands": survey.islands,
+        "indirect": survey.indirect,
         "solved": state.solved,
         "bounds": state.bounds,
         "doubt": state.doubt,
@@ -319,6 +320,7 @@ def _unpacked(arrays, told):
             tuple(Finding(**f) for f in told["health"]),
             arrays["island"],
             told["islands"],
+            told["indirect"],
         ),
         patches=from_arrays(Patches, "patches", arrays),
         bounds=tuple(told["bounds"]),

@@ -4,6 +4,7 @@ from time import sleep
 
 import numpy as np
 
+from .anew import first_light
 from .contacts import find_contacts
 from .control import control_points
 from .gather import find_sides, gather_points
@@ -20,14 +21,16 @@ def wait(kernel, seconds, sizes, carried=()):
 
 
 def cast(kernel, position, normal, direction):
-    """{"triangle": (K,) int32, "back": (K,) bool}: what rays from just above places on surfaces (K, 3) meet."""
+    """{"triangle": (K,) int32, "back": (K,) bool, "distance": (K,) float32 in scene diagonals}: what rays from just above
+    places on surfaces (K, 3) meet."""
     caster = kernel.caster
-    triangle, _, _, _, back = caster.hits(caster.start(position, normal), direction.astype(np.float32))
-    return {"triangle": triangle, "back": back}
+    triangle, _, _, distance, back = caster.hits(caster.start(position, normal), direction.astype(np.float32))
+    return {"triangle": triangle, "back": back, "distance": distance}
 
 
 TASKS = {
     "cast": cast,
+    "lit": first_light,
     "contacts": find_contacts,
     "blocked": find_blocked,
     "reach": find_reach,

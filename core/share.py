@@ -1,0 +1,91 @@
+"""How much of the light is reflected: a look at a few places, before there are patches.
+
+What patches average away is an error of reflected light alone. Where sun and sky give nearly all of it, patches may be
+larger for the same error of the whole, and their rows shorter.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .lights import make_sources
+from .records import to_arrays
+from .sampling import R4, R5, fraction, hemisphere, scatter, tangents
+from .sky import cells_of, split_sky
+
+COMMON = 0.5  # of the light of common interiors is reflected: what is taken where nobody looks
+PLACES = 1024  # that are looked at
+INSIDE = 0.998  # how far toward its rim rays set out from a face
+FEW = 20.0  # rays that met lit places: of fewer, the light may come from a few spots, and more of it than was seen
+SALT = 29  # of the samples
+
+
+def indirect_share(scene, returned, cells, back=False):
+    """About how much of its light what is written gets by reflection, 0..1 (root mean square); rather too much where that
+    comes from few spots. returned: (M,) the most that each material sends on. cells: started with the arrays that rays need.
+    back: of the backs of faces.
+
+    From every place goes a ray, and one more from what it meets; all of them are lit by a source each. A place and the next
+    one are near each other in most meshes, so that the product of their light stands for a square, without what chance adds
+    to one.
+    """
+    triangle = np.flatnonzero(scene.usable & scene.written[scene.polygon_object[scene.triangle_polygon]])
+    if not len(triangle):
+        return COMMON
+    upper = np.cumsum(scene.triangle_normal_area[1][triangle])
+    place = (np.arange(PLACES) + 0.5) / PLACES * upper[-1]
+    triangle = triangle[np.minimum(np.searchsorted(upper, place, side="right"), len(triangle) - 1)]
+    sources, sampled = make_sources(scene)
+    number, sky = np.arange(PLACES), np.pi * split_sky(scene.world)[0].mean(axis=1)
+    glow = np.array([np.mean(m.exitance) for m in scene.materials])[scene.polygon_material] * ~sampled
+
+    def look(position, normal, direction):
+        """What rays meet: where (K,), the places and normals there (K, 3), and (P,) light of sky and glowing faces."""
+        (hit,) = cells.take([cells.submit("cast", position=position, normal=normal, direction=direction)])
+        met = np.flatnonzero(hit["triangle"] >= 0)
+        there = hit["triangle"][met]
+        facing = scene.triangle_normal_area[0][there] * np.where(hit["back"][met], -1.0, 1.0)[:, None]
+        on = position[met] + scene.diagonal * hit["distance"][met, None].astype(float) * direction[met]
+        found = sky[cells_of(direction, int(np.sqrt(len(sky))))]
+        found[met] = glow[scene.triangle_polygon[there]]
+        return met, there, on, facing, found
+
+    position, normal, direction = face_rays(scene, triangle, number, int(back))
+    met, there, on, facing, direct = look(position, normal, direction)
+    arriving = look(on, facing, from_faces(facing, *_samples(2, len(met), 1)))[4]
+    if len(sources):
+        cells.start(to_arrays("sources", sources))
+        places, up = np.concatenate([position, on]), np.concatenate([normal, facing])
+        (lit,) = cells.take([cells.submit("lit", position=places, normal=up, samples=_samples(3, len(places), 2))])
+        direct += lit["light"][:PLACES]
+        arriving += lit["light"][PLACES:]
+    reflected = np.zeros(PLACES)
+    reflected[met] = returned[scene.polygon_material[scene.triangle_polygon[there]]] * arriving
+    light = direct + reflected
+    count = np.count_nonzero(reflected)
+    square, part = (max(float((x[1:] * x[:-1]).mean()), 0.0) for x in (light, reflected))
+    once = max(np.sqrt(part), float(reflected.mean())) / max(np.sqrt(square), 1e-300)
+    often = once / max(1.0 - once, 1e-9)  # what is reflected again is about the same share of that
+    return min(often * (1.0 + FEW / (count + 1.0)), 1.0) if count else 0.0
+
+
+def face_rays(scene, triangle, number, side):
+    """Position, normal and direction (K, 3) of cosine-distributed rays from triangles (K,), one each."""
+    a, b, c = np.moveaxis(scene.vertices[scene.triangles[triangle]], 1, 0)
+    normal = scene.triangle_normal_area[0][triangle] * (1 - 2 * side)
+    u, v, s, t = fraction(number[:, None] * np.array(R4) + scatter(np.arange(4) + 4 * side, 13)).T
+    # A little inside: rays from the very rim of a face see past its neighbors.
+    root, t = np.sqrt(INSIDE * s)[:, None], INSIDE * t[:, None] + (1 - INSIDE) / 2
+    position = a + root * (1 - t) * (b - a) + root * t * (c - a)
+    return position, normal, from_faces(normal, u, v)
+
+
+def from_faces(normal, u, v):
+    """(K, 3) cosine-distributed directions about normals (K, 3), by u, v (K,) in [0, 1)."""
+    local, (t1, t2) = hemisphere(u, v), tangents(normal)
+    return local[:, :1] * t1 + local[:, 1:2] * t2 + local[:, 2:] * normal
+
+
+def _samples(size, count, salt):
+    """(size, count) samples in [0, 1)."""
+    return fraction(np.arange(count) * R5[:size, None] + scatter(np.arange(size), SALT + salt)[:, None])

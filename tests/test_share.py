@@ -1,0 +1,99 @@
+"""The look at how much of the light is reflected, and the patches that go by it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cell_radiosity.core.cells import LocalCells
+from cell_radiosity.core.choices import eased
+from cell_radiosity.core.effects import survey
+from cell_radiosity.core.share import COMMON
+
+from scenes import Lamp, Material, Settings, World, bake, box, join_meshes, run, sheet
+
+TILTED = ((1.0, 0.0, 0.0), (0.0, 0.8, 0.6), (0.0, -0.6, 0.8))
+SUN = Lamp("sun", (3.0, 2.9, 2.8), axes=TILTED, angle=0.01)
+SKY = World((0.2, 0.25, 0.3))
+
+
+def court(reflectance=0.5, lamps=(SUN,), world=SKY):
+    """A court without a roof, a third of its floor in the sun."""
+    yard = box("yard", (0, 0, 0), (2, 2, 1), n=12, faces="xXyYz")
+    return join_meshes([yard], [Material("wall", (reflectance,) * 3)], lamps, world)
+
+
+def looked_at(scene, **settings):
+    return survey(scene, Settings.for_error(0.01, **settings)).indirect
+
+
+def reflected_share(scene):
+    """What a bake says: root mean square of reflected light, as a share of that of all light."""
+    baked = run(bake(scene, Settings.for_error(0.01), LocalCells()))
+    indirect, total = (
+        np.sqrt((baked.points.area * light**2).sum()) for light in (baked.light.indirect, baked.light.total)
+    )
+    return indirect / total
+
+
+@pytest.mark.parametrize("lamps", [(SUN,), ()], ids=["sun and sky", "sky alone"])
+@pytest.mark.parametrize("reflectance", [0.1, 0.3, 0.6, 0.8])
+def test_the_share_is_seen_before_there_are_patches(reflectance, lamps):
+    scene = court(reflectance, lamps)
+    assert 0.85 <= looked_at(scene) / reflected_share(scene) <= 1.45
+
+
+def test_nothing_is_reflected_where_nothing_is_met():
+    floor = sheet("floor", [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], 4, 4)
+    assert looked_at(join_meshes([floor], [Material("floor", (0.9,) * 3)], [SUN], SKY)) == 0.0
+
+
+def test_the_share_does_not_know_units_or_brightness():
+    scene = court()
+    brighter = court(
+        lamps=[replace(SUN, strength=tuple(1e6 * s for s in SUN.strength))], world=World((2e5, 2.5e5, 3e5))
+    )
+    assert looked_at(brighter) == pytest.approx(looked_at(scene), rel=1e-9)
+
+
+def test_it_is_looked_at_what_is_written():
+    """Where a lit yard is beside a room that only its light enters, each has its own share."""
+    yard = box("yard", (0, 0, 0), (2, 2, 1), n=8, faces="xyz")
+    room = box("room", (0, 0, -2), (2, 2, -1e-3), n=8)
+    scene = join_meshes([yard, room], [Material("wall", (0.5,) * 3)], [SUN, Lamp("point", (1e-3,) * 3, (1, 1, -1))])
+    for written in ((True, False), (False, True)):
+        alone = replace(scene, written=np.array(written))
+        assert 0.8 <= looked_at(alone) / reflected_share(alone) <= 1.25
+
+
+def test_where_neither_sun_nor_sky_shines_nobody_looks():
+    lamp = Lamp("point", (1.0,) * 3, (1.0, 1.0, 0.5))
+    assert looked_at(court(lamps=[lamp], world=World())) == COMMON
+
+
+def test_patches_are_the_coarser_the_less_is_reflected():
+    found = survey(court(), Settings.for_error(0.01))
+    usual = Settings.for_error(0.01)
+    edges = [eased(usual, replace(found, indirect=share)).patch_edge for share in (1.0, 0.15, 0.05, 0.005, 0.0)]
+    assert edges[0] == usual.patch_edge
+    assert (np.diff(edges) >= 0).all()
+    assert len(set(edges)) == 4
+
+
+def test_patches_that_were_asked_for_stay():
+    found = replace(survey(court(), Settings.for_error(0.01)), indirect=0.0)
+    for asked in (dict(patch_edge=1 / 33), dict(row_rays=24), dict(rows="analytic"), dict(per_object=True)):
+        settings = Settings.for_error(0.01, **asked)
+        assert eased(settings, found) == settings
+
+
+def test_coarse_patches_do_not_spoil_the_whole():
+    """The light of a court on patches that its share allows is that on fine ones, to the error asked for."""
+    scene = court(0.5)
+    coarse, fine = (
+        run(bake(scene, Settings.for_error(0.02, gather_rays=256, **knobs), LocalCells()))
+        for knobs in ({}, dict(patch_edge=1 / 100, row_rays=64))
+    )
+    assert len(coarse.patches) < len(fine.patches) / 3
+    area, off = fine.points.area, coarse.light.total - fine.light.total
+    assert np.sqrt((area * off**2).sum() / (area * fine.light.total**2).sum()) < 0.01
