@@ -11,6 +11,7 @@ from collections import deque
 from copy import deepcopy
 from dataclasses import dataclass
 from hashlib import blake2b
+from math import sqrt
 from time import thread_time
 
 import numpy as np
@@ -238,7 +239,8 @@ class Gathering:
         With V the variance of the mean of all replicates, V' of what is filtered of it and K what they have in common, and
         b what the filter does to the light itself, the error of a filtered share a is (1 - a)^2 V + 2 a (1 - a) K +
         a^2 (V' + b^2): it is least where a is V - K over V - 2 K + V' + b^2. How much more the filter changes than the
-        noise explains, V - 2 K + V', shows b^2. All of them are means over neighbors.
+        noise explains, V - 2 K + V', shows b^2. All of them are means over neighbors; V' is what remains in the end, V - K and
+        V - 2 K + V' are of the fine noise that the filter takes away.
 
         The replicates are gone through one by one, so that only sums are held: of the squares of how far each is off the
         mean, of what the filter changes of that, and of their products. They tell the variance whatever the trust is.
@@ -263,23 +265,44 @@ class Gathering:
             off += weight * raw * raw
             change += weight * moved * moved
         del raw, moved, direct, weight
-        scale = ratio(1.0, others * sum(r.weight for r in replicates))
+        whole = sum(r.weight for r in replicates)
+        scale = ratio(1.0, others * whole)
+        finer = scale * self._finer(others, whole)
 
         light = self._together(indirect)
         moved = filter.smooth(light)
         moved -= light
         noise = np.einsum("cp->p", change)
-        parts = np.stack([gain * scale, noise * scale, np.einsum("cp,cp->p", moved, moved)])
+        parts = np.stack([gain * finer, noise * finer, np.einsum("cp,cp->p", moved, moved)])
         del light, moved, indirect
         gain, noise, blurred = filter.local_mean(parts)
         blurred -= noise
         trust = np.clip(ratio(gain, noise + np.maximum(blurred - (CHANCE - 1) * noise, 0.0)), 0.0, 1.0)
-        both *= 2
-        both += trust * change
-        off += trust * both
+        # What is left of the light when all of the change is made, and the part of the change that is not made.
+        both += change
+        off -= change
+        off += 2 * both
         off *= scale
+        finer *= 1 - trust
+        both *= 2 * finer
+        off -= both
+        finer *= 1 - trust
+        change *= finer
+        off += change
         blurred *= trust * trust
         return trust, np.maximum(off, 0.0, out=off), blurred
+
+    def _finer(self, others, whole):
+        """(P,) what is to be made of the variance of the mean that replicates of weight `whole` (P,), one more than others
+        (P,), show by their scatter, if it falls with the power 3/2 of their rays, and not with that of their weights.
+
+        What the filter takes away falls so; judged by the weights, pilots of few rays would have it far too large, and what
+        the filter does to the light itself would be lost in it.
+        """
+        replicates = self.gathered.replicates
+        variance = [1.0 / (r.rays * sqrt(r.rays)) for r in replicates]
+        mean = ratio(sum(v * r.weight * r.weight for v, r in zip(variance, replicates)), whole)
+        return ratio(others * mean, sum(v * r.weight for v, r in zip(variance, replicates)) - mean)
 
     def _mean(self, name):
         """(G C, P) a part of the light, the mean of all replicates."""

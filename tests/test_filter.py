@@ -9,7 +9,9 @@ import pytest
 
 from cell_radiosity.core import filter as module
 from cell_radiosity.core.filter import NEARBY, STEPS, Filter
+from cell_radiosity.core.gather import Gathered, Gathering, Light, Replicate
 from cell_radiosity.core.points import Points
+from cell_radiosity.core.settings import Settings
 
 COUNT = 60
 
@@ -105,3 +107,32 @@ def test_no_more_is_held_than_a_few_rows(monkeypatch):
         assert tracemalloc.get_traced_memory()[1] < (rows + 8) * 8 * count
     finally:
         tracemalloc.stop()
+
+
+@pytest.mark.parametrize("rays", [(8, 8, 8, 8), (8, 8, 128), (13, 13, 360, 190)])
+def test_what_the_filter_does_to_the_light_itself_is_seen_beside_noise(rays):
+    """Ripples under noise whose variance falls with the power 3/2 of the rays, as that of lattices does: however unlike
+    the replicates are, the parts of the estimate add up to the error that there is."""
+    side = 60
+    row, column = np.divmod(np.arange(side * side), side)
+    steps = [(0, 1), (1, 0), (0, -1), (-1, 0)]
+    inside = [np.isin(row + i, row) & np.isin(column + j, column) for i, j in steps]
+    neighbor = np.stack([np.arange(side * side) + i * side + j for i, j in steps], axis=1)[np.stack(inside, axis=1)]
+    start = np.append(0, np.cumsum(np.sum(inside, axis=0))).astype(np.int32)
+    position, plain = np.column_stack([column, row, 0 * row]) / 60.0, np.zeros(side * side)
+    normal = np.tile((0.0, 0.0, 1.0), (side * side, 1))
+    points = Points(
+        position, normal, normal, plain + 1, plain, plain, start, neighbor.astype(np.int32), plain, plain, plain
+    )
+    truth = 1.0 + 0.05 * np.sin(1.1 * row) * np.sin(1.1 * column)
+    random, whole = np.random.default_rng(3), np.ones(side * side, bool)
+    zero = np.zeros((1, side * side), np.float32)
+    replicates = [
+        Replicate(n, whole, whole, zero, zero, (truth + random.normal(0, n**-0.75, (1, side * side))), plain + 1)
+        for n in rays
+    ]
+    nothing = Light(zero, zero, zero, plain, ~whole)
+    gathered = Gathered(replicates, plain + 1, np.ones(len(neighbor), bool))
+    light = Gathering(points, nothing, None, Settings(), gathered=gathered).light(0.1)
+    error, noise, blurred = ((light.total - truth) ** 2).mean(), light.variance.mean(), light.blurred.mean()
+    assert 0.75 * error < noise + max(blurred, 0.0) < 1.35 * error
