@@ -18,7 +18,7 @@ from .contacts import cut_contacts
 from .control import Control, Traced, draw_control
 from .costs import Work, with_costs
 from .effects import Survey, simplified, survey
-from .gather import Gathering, Light, light_arrays, patch_light, sides_of
+from .gather import Gathering, light_arrays, patch_light, sides_of
 from .groups import Groups, make_groups, scaled, weighted
 from .health import Finding, mend
 from .host import Solution, solve
@@ -31,6 +31,7 @@ from .placing import refill, thin_findings
 from .points import Points, make_points
 from .prices import PRICED, Pilot, price_list
 from .records import from_arrays, to_arrays
+from .replicates import Light
 from .scene import Scene, World
 from .settings import Settings
 from .sky import split_sky
@@ -293,6 +294,7 @@ class _Course:
         if len(self.points) and self.control is None:
             each = self.settings.per_object
             count = control_points(len(np.unique(self.points.object)) if each else 0)
+            yield from self._smooth()
             drawn = draw_control(self.points, self._light().total, count, each)
             traced = Traced(rounds=self._known.traced.rounds) if self._known and self._known.traced else None
             self.control = Control(self.points, *drawn, self.cells, self.settings, self._group_count, traced)
@@ -319,8 +321,10 @@ class _Course:
     def _gathering(self, points, side, gathered=None):
         """A Gathering at points, (P,) on patch sides."""
         self.cells.start(light_arrays(points, self.solution, self.surfaces, self.sky, side))
-        start = patch_light(side, self.solution)
-        return Gathering(points, start, self.cells, self.settings, self._group_count, gathered)
+        start = partial(patch_light, side, self.solution)
+        return Gathering(
+            points, len(self.solution.direct), start, self.cells, self.settings, self._group_count, gathered
+        )
 
     def ask(self, wanted):
         """Ask for replicates of the light at the points: (rays, ids of points or None) of each."""
@@ -377,6 +381,7 @@ class _Course:
         short = control_rays(self.settings) - self.control.rays
         if short > 0:
             yield from self._trace(self.control.trace(short))
+        yield from self._smooth()
         self._estimate()
         # More rays where the control itself is in doubt, as long as they help; above all before rays are spent at all
         # points against what may be chance.
@@ -388,6 +393,8 @@ class _Course:
     def _trace(self, tracing):
         """Trace rays of the control, and count what they take."""
         begun, before = perf_counter(), self.control.rays
+        yield self._of_control(next(tracing))
+        yield from self._smooth()
         yield from _each(tracing, self._of_control)
         self._control_seconds += perf_counter() - begun
         self._control_rays += self.control.rays - before
@@ -397,6 +404,10 @@ class _Course:
         wanted = self._rays_wanted() * len(self.points)
         spent = self.control.rays * len(self.control.ids)
         return more_control(self.estimate, self.settings.error, self.control.rays, self._doubt, wanted / max(spent, 1))
+
+    def _smooth(self):
+        """Find the light as it stands, which is then known."""
+        yield from _each(self.gathering.smoothing(self.scene.diagonal), lambda _: self._of_control(0.0))
 
     def _estimate(self):
         free = self.gathering.gathered.closest > CROWDED

@@ -115,13 +115,13 @@ class Cells:
                     break
         return [kept.pop(k) for k in ids]
 
-    def flow(self, name, each):
+    def flow(self, name, each, most=inf):
         """Yield the results of tasks in order. each: iterable of their arguments, which are made as cells come free, so that
-        those of all tasks are never held at a time."""
+        those of all tasks are never held at a time. most: that wait, where they are large."""
         waiting = deque()
         for arguments in each:
             waiting.append(self.submit(name, **arguments))
-            if len(waiting) > self.flow_each * self.count:
+            if len(waiting) > min(self.flow_each * self.count, most):
                 yield from self.take([waiting.popleft()])
         yield from self.take(list(waiting))
 

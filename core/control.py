@@ -53,7 +53,7 @@ class Control:
         self.traced = traced or Traced()
 
     def trace(self, rays):
-        """Trace another `rays` rays of both truths at every point: a generator that yields after every task."""
+        """Trace another `rays` rays of both truths at every point: a generator that yields before and after every task."""
         self.traced = replace(self.traced, asked=rays)
         return self.complete()
 
@@ -72,6 +72,7 @@ class Control:
             for number, seed in enumerate((2 * rounds, 2 * rounds + 1))
             for k in range(min(max(done - number * count, 0), count), count, size)
         ]
+        yield 0.0  # cells are at work: there is time for something else
         for k, task in enumerate(tasks):
             (result,) = self._cells.take([task])
             before = self.traced

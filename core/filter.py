@@ -14,6 +14,9 @@ from .vectors import dot, length, runs
 STEPS = 6  # diffusion steps of the filter
 COLUMNS = 8  # neighbors of a point that are summed with those of all others
 NEARBY = 8  # steps along edges over which noise is compared
+SPREAD = (
+    2 * STEPS + NEARBY + 1
+)  # neighbors of neighbors that tell what becomes of a point, the last only by their number
 SMOOTH = 0.9510565162951535  # cosine of 18 degrees: the largest turn between points that the filter mixes
 VALUES = 1 << 17  # at a time: of so many points all rows of light together, of more row by row
 

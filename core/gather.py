@@ -1,6 +1,6 @@
 """Phase 2: the light that arrives at points.
 
-Owns the gathering of light at points, and how far the filter of its indirect part is trusted. Every source counts exactly once: sampled
+Owns the gathering of light at points. Every source counts exactly once: sampled
 sources by test rays (`direct`), light of faces that are not sampled and of the sky by the gather rays that meet them
 (also `direct`), reflected light by the gather rays that meet lit patches (`indirect`).
 """
@@ -11,18 +11,17 @@ from collections import deque
 from copy import deepcopy
 from dataclasses import dataclass
 from hashlib import blake2b
-from math import sqrt
 from time import thread_time
 
 import numpy as np
 
 from .anew import read_light
-from .filter import Filter
 from .guide import NOTHING, Aim, guide_samples
 from .kernel import blocks
 from .lights import FLAT, test_rays, unlike, unoccluded
 from .points import Block, block_arrays
 from .records import to_arrays
+from .replicates import PARTS, Light, Replicate, block_of_light, light_blocks, light_of_block, mean_light
 from .sampling import R2, fraction, hemisphere, lattice, scatter, tangents
 from .vectors import counted, ratio
 
@@ -30,6 +29,8 @@ TASK_RAYS = 1 << 15  # of one task: some 10 ms
 TABLES = 64  # direction tables, each turned by a step of its own; a point's shift picks one
 APART = (0.41421356237309503, 0.7320508075688772)  # steps from point to point of the test rays' shifts
 GATHER, TEST = 3, 4  # salts of the sample sequences
+BLOCK_BYTES = 6e6  # that a replicate has in a block of light
+WAITING_SHARE = 0.05  # of the memory that may be used, for blocks that wait for cells
 REPLICATES = 12  # with steps of their own
 SEEDS = 1 << 20  # between the seeds of replicates
 
@@ -43,56 +44,6 @@ MOST_TESTS = 16.0  # times as many test rays toward a source that gives so many 
 UNSEEN = 32  # gather rays to a test ray toward a source that the first few find wholly lit, or wholly hidden
 DIM = 0.02  # a point that gets less than this share of its unoccluded light is tested DIM_TESTS times more
 DIM_TESTS = 16
-
-PARTS = ("direct", "found", "reflected")  # of a point's light
-
-REACH = 0.4  # of the filter, in harmonic mean free distances, at 64 gather rays
-CHANCE = 2.0  # times the noise: a change by the filter up to that is taken as noise (undoing less would not pay)
-
-
-@dataclass(frozen=True)
-class Light:
-    """Irradiance at P points [W/m^2], a row per color channel: direct (C, P) straight from sources, indirect (C, P)
-    reflected at least once; with light groups a row for each group's channels. variance: (C, P) of their sum over all groups, as the scatter between replicates shows it; 0 where nothing
-    is known. blurred: (P,) square of what the filter does to the light itself, all channels together, so that
-    its mean over many points is right (it may be negative at some). done: (P,) bool, the points that were gathered; the others have their patches' light.
-    """
-
-    direct: np.ndarray
-    indirect: np.ndarray
-    variance: np.ndarray
-    blurred: np.ndarray
-    done: np.ndarray
-
-    @property
-    def total(self):
-        """(C, P) all light that arrives."""
-        return self.direct + self.indirect
-
-
-@dataclass(frozen=True)
-class Replicate:
-    """One independent sample of the light, by so many rays at each of the points that are asked, (P,) bool; taken: (P,) bool,
-    where that is done. (C, P) float32 each, direct light of sampled sources, light found by rays, and light
-    reflected at least once [W/m^2]; nearness: (P,) float32 mean inverse distance that the rays went, in scene diagonals."""
-
-    rays: int
-    asked: np.ndarray
-    taken: np.ndarray
-    direct: np.ndarray
-    found: np.ndarray
-    reflected: np.ndarray
-    nearness: np.ndarray
-
-    @property
-    def weight(self):
-        """(P,) how much it counts at each point, 0 where it was not taken (yet)."""
-        return self.taken * (self.rays * np.sqrt(np.sqrt(self.rays)))
-
-    @property
-    def left(self):
-        """(K,) int32 points where it is still to be taken."""
-        return np.flatnonzero(self.asked & ~self.taken).astype(np.int32)
 
 
 @dataclass(frozen=True)
@@ -113,19 +64,19 @@ class Gathered:
 class Gathering:
     """Light at points, gathered in replicates: independent samples of the same light, to which more can be added.
 
-    gathered: what there is so far, as Gathered. Replicates of n rays count by n^1.25: their variance falls by 1.0 to 1.6
-    in the exponent, and what is said of it must not be too low.
+    gathered: what there is so far, as Gathered.
     """
 
-    def __init__(self, points, start, cells, settings, groups=1, gathered=None):
-        """start: the Light to show where nothing was gathered yet. cells: started with `light_arrays`. groups: number of
+    def __init__(self, points, rows, start, cells, settings, groups=1, gathered=None):
+        """rows: of light, channels times groups. start: function that returns the Light to show where nothing was gathered
+        yet. cells: started with `light_arrays`. groups: number of
         light groups, whose channels lie one after the other: noise is judged by their sum, so that they stay parts of it.
         gathered: what another Gathering of the same has found, to go on from.
         """
         self.points, self.cells, self.settings, self._start, self._groups = points, cells, settings, start, groups
         nothing = Gathered([], np.full(len(points), np.inf, np.float32), np.zeros(len(points.neighbor), bool))
         self.gathered = gathered.copy() if gathered else nothing
-        self._shape = start.direct.shape
+        self._shape = rows, len(points)
         self._taken, self._light = None, None
 
     @property
@@ -191,131 +142,45 @@ class Gathering:
         replicate.taken[ids] = True  # at last: what has it is whole
 
     def light(self, diagonal):
-        """The Light so far, filtered; diagonal: of the scene [m].
+        """The Light so far, filtered; diagonal: of the scene [m]. See `mean_light`."""
+        (light,) = deque(self.smoothing(diagonal, in_cells=False), maxlen=1)
+        return light
 
-        The filter is linear, so it can be applied to each replicate: how their results scatter shows the noise that is
-        left in the mean, filtered as it is.
-        """
+    def smoothing(self, diagonal, in_cells=True):
+        """The Light so far, as `light`, where there are many points by the cells: a generator that yields None for every
+        block of points, and the Light in the end."""
         taken = len(self.gathered.replicates), float(self.rays.sum())
         if taken != self._taken:  # the same light is asked for after every look at its error
-            self._taken, self._light = taken, self._filtered(diagonal)
-        return self._light
+            light = yield from self._filtered(diagonal, in_cells)
+            self._taken, self._light = taken, light
+        yield self._light
 
-    def _filtered(self, diagonal):
-        replicates, rays = self.gathered.replicates, self.rays
-        done = rays > 0
+    def _filtered(self, diagonal, in_cells):
+        replicates, done = self.gathered.replicates, self.rays > 0
         if not done.any():
-            return self._start
-        start = self._start
-        if done.all():
-            start = self._start = None  # nothing is shown of it any more
-        links = self.gathered.links & np.repeat(done, np.diff(self.points.neighbor_start)) & done[self.points.neighbor]
-        nearness = sum(r.rays * r.nearness.astype(float) for r in replicates)
-        reach = REACH * np.sqrt(np.sqrt(ratio(64.0, rays))) * diagonal * ratio(rays, nearness)
-        filter = Filter(self.points, reach, links)
-        del links, nearness, reach, rays
-
-        trust, variance, blurred = self._trust(filter)
-        light = []
-        for name in ("found", "reflected"):
-            light.append(self._mean(name))
-            change = filter.smooth(light[-1])
-            change -= light[-1]
-            change *= trust
-            light[-1] += change
-            # Beside a steep edge what is smoothed can fall below 0.
-            np.maximum(light[-1], 0.0, out=light[-1])
-        found, reflected = light
-        found += self._mean("direct")
-        if start:
-            np.copyto(found, start.direct, where=~done)
-            np.copyto(reflected, start.indirect, where=~done)
-        return Light(found, reflected, variance, blurred, done)
-
-    def _trust(self, filter):
-        """How far the filter is to be trusted at each point, (P,) 0..1: so that the error of what is filtered so far is
-        least; with it the variance (C, P) of the light, and (P,) the square of what the filter does to the light itself.
-
-        With V the variance of the mean of all replicates, V' of what is filtered of it and K what they have in common, and
-        b what the filter does to the light itself, the error of a filtered share a is (1 - a)^2 V + 2 a (1 - a) K +
-        a^2 (V' + b^2): it is least where a is V - K over V - 2 K + V' + b^2. How much more the filter changes than the
-        noise explains, V - 2 K + V', shows b^2. All of them are means over neighbors; V' is what remains in the end, V - K and
-        V - 2 K + V' are of the fine noise that the filter takes away.
-
-        The replicates are gone through one by one, so that only sums are held: of the squares of how far each is off the
-        mean, of what the filter changes of that, and of their products. They tell the variance whatever the trust is.
-        """
-        replicates, count = self.gathered.replicates, len(self.points)
-        others = sum(r.taken.astype(np.int32) for r in replicates) - 1
-        shape = self._shape[0] // self._groups, count
-        if not others.max(initial=0) > 0:  # one replicate alone shows no noise
-            return np.ones(count), np.zeros(shape), np.zeros(count)
-        direct, indirect = self._mean("direct"), self._mean("found")
-        indirect += self._mean("reflected")
-        off, both, change = (np.zeros(shape) for _ in range(3))
-        gain = np.zeros(count)
-        for r in replicates:
-            weight = r.weight
-            raw = self._together((r.found - indirect + r.reflected) * r.taken)
-            moved = filter.smooth(raw)
-            moved -= raw
-            gain -= weight * np.einsum("cp,cp->p", raw, moved)
-            raw += self._together(r.direct - direct)
-            both += weight * raw * moved
-            off += weight * raw * raw
-            change += weight * moved * moved
-        del raw, moved, direct, weight
-        whole = sum(r.weight for r in replicates)
-        scale = ratio(1.0, others * whole)
-        finer = scale * self._finer(others, whole)
-
-        light = self._together(indirect)
-        moved = filter.smooth(light)
-        moved -= light
-        noise = np.einsum("cp->p", change)
-        parts = np.stack([gain * finer, noise * finer, np.einsum("cp,cp->p", moved, moved)])
-        del light, moved, indirect
-        gain, noise, blurred = filter.local_mean(parts)
-        blurred -= noise
-        trust = np.clip(ratio(gain, noise + np.maximum(blurred - (CHANCE - 1) * noise, 0.0)), 0.0, 1.0)
-        # What is left of the light when all of the change is made, and the part of the change that is not made.
-        both += change
-        off -= change
-        off += 2 * both
-        off *= scale
-        finer *= 1 - trust
-        both *= 2 * finer
-        off -= both
-        finer *= 1 - trust
-        change *= finer
-        off += change
-        blurred *= trust * trust
-        return trust, np.maximum(off, 0.0, out=off), blurred
-
-    def _finer(self, others, whole):
-        """(P,) what is to be made of the variance of the mean that replicates of weight `whole` (P,), one more than others
-        (P,), show by their scatter, if it falls with the power 3/2 of their rays, and not with that of their weights.
-
-        What the filter takes away falls so; judged by the weights, pilots of few rays would have it far too large, and what
-        the filter does to the light itself would be lost in it.
-        """
-        replicates = self.gathered.replicates
-        variance = [1.0 / (r.rays * sqrt(r.rays)) for r in replicates]
-        mean = ratio(sum(v * r.weight * r.weight for v, r in zip(variance, replicates)), whole)
-        return ratio(others * mean, sum(v * r.weight for v, r in zip(variance, replicates)) - mean)
-
-    def _mean(self, name):
-        """(G C, P) a part of the light, the mean of all replicates."""
-        total, whole = np.zeros(self._shape), np.zeros(len(self.points))
-        for r in self.gathered.replicates:
-            weight = r.weight
-            total += weight * getattr(r, name)
-            whole += weight
-        return np.divide(total, whole, out=total, where=whole > 0)
-
-    def _together(self, light):
-        """(C, P) light of all groups, of light (G C, P)."""
-        return light.reshape(self._groups, -1, light.shape[1]).sum(axis=0)
+            return self._start()
+        parts = light_blocks(len(done))
+        if len(parts) == 1:
+            blocks = [mean_light(self.points, self.gathered.links, replicates, self._groups, diagonal)]
+        else:
+            more = dict(rows=self._shape[0], groups=self._groups, diagonal=float(diagonal))
+            each = (block_of_light(self.points, self.gathered.links, replicates, part) | more for part in parts)
+            blocks = (light_of_block(None, **own) for own in each)
+            if in_cells:
+                size = BLOCK_BYTES * len(replicates)
+                blocks = self.cells.flow("smooth", each, max(int(WAITING_SHARE * self.settings.memory / size), 1))
+        direct, indirect = np.empty(self._shape), np.empty(self._shape)
+        variance, blurred = np.empty((self._shape[0] // self._groups, len(done))), np.empty(len(done))
+        light = Light(direct, indirect, variance, blurred, done)
+        for part, block in zip(parts, blocks):
+            for name, array in block.items():
+                getattr(light, name)[..., part] = array
+            yield
+        if not done.all():
+            start = self._start()
+            np.copyto(direct, start.direct, where=~done)
+            np.copyto(indirect, start.indirect, where=~done)
+        return light
 
 
 def light_arrays(points, solution, surfaces, sky, side):

@@ -152,10 +152,16 @@ def block_arrays(points, own, joined=True):
     """{name: array} of the Block of points own (K,), which are sorted. joined: with their neighbors, or without any."""
     ids, degree, there = own, np.zeros(len(own), np.int32), np.zeros(0, np.int32)
     if joined:
-        here, neighbor = pairs(points, own)
-        degree = np.bincount(here, minlength=len(own)).astype(np.int32)
-        there = np.searchsorted(own, neighbor)
-        outside = np.append(own, -1)[there] != neighbor
+        start = points.neighbor_start
+        if len(own) and own[-1] - own[0] == len(own) - 1:  # all in a row, as most are
+            degree = np.diff(start[own[0] : own[-1] + 2])
+            neighbor = points.neighbor[start[own[0]] : start[own[-1] + 1]]
+            there = neighbor - own[0]
+            outside = (there < 0) | (there >= len(own))
+        else:
+            degree, neighbor = start[own + 1] - start[own], pairs(points, own)[1]
+            there = np.searchsorted(own, neighbor).astype(np.int32)
+            outside = np.append(own, -1)[there] != neighbor
         more, number = np.unique(neighbor[outside], return_inverse=True)
         there[outside] = len(own) + number.reshape(-1)
         ids = np.concatenate([own, more])
@@ -163,7 +169,7 @@ def block_arrays(points, own, joined=True):
     return dict(
         ids=ids.astype(np.int32), position=position, normal=normal,
         geometric=geometric[: 0 if (geometric == normal).all() else None],
-        degree=degree, neighbor=there.astype(np.int32),
+        degree=degree, neighbor=there,
     )  # fmt: skip
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from .control import Traced
 from .effects import Effect, Survey
-from .gather import Gathered, Replicate
+from .gather import Gathered
 from .groups import Groups
 from .guide import Guide
 from .health import Finding
@@ -26,6 +26,7 @@ from .host import ENDLESS, AnalyticRows, RayRows, Round, Solution, joined_rows
 from .patches import Patches
 from .prices import Price
 from .records import from_arrays, to_arrays
+from .replicates import Replicate
 from .saving import written_whole
 from .settings import Settings
 

@@ -11,6 +11,7 @@ from .gather import find_sides, gather_points
 from .lightmap import light_parts, settle_points
 from .occlusion import openness_of_points
 from .placing import find_blocked, find_reach
+from .replicates import light_of_block
 from .rows import analytic_rows, guide_rows, light_patches, trace_rows
 
 
@@ -44,5 +45,6 @@ TASKS = {
     "parts": light_parts,
     "openness": openness_of_points,
     "control": control_points,
+    "smooth": light_of_block,
     "wait": wait,
 }

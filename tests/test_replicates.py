@@ -1,0 +1,82 @@
+"""Light of replicates: block by block it is what it is in one go, whoever finds it; and the last replicate's share of the noise
+follows from the others'."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cell_radiosity.core import replicates as module
+from cell_radiosity.core.bake import bake, run
+from cell_radiosity.core.cells import LocalCells, make_cells
+from cell_radiosity.core.replicates import Replicate, around, mean_light
+from cell_radiosity.core.settings import Settings
+
+from scenes import Material, box, join_meshes, sheet
+
+SETTINGS = Settings.for_error(0.02, gather_rays=48, patch_edge=0.1)
+
+
+def room(n=24):
+    """A room with a lit panel and a window to a block, whose light differs from channel to channel."""
+    panel = sheet("panel", [(0.3, 0.7, 0.98), (0.7, 0.7, 0.98), (0.7, 0.3, 0.98), (0.3, 0.3, 0.98)], material=1)
+    block = box("block", (0.2, 0.3, 0.0), (0.5, 0.6, 0.45), n // 3, False)
+    materials = [Material("rose", (0.7, 0.5, 0.3)), Material("panel", (0, 0, 0), (30.0,) * 3)]
+    return join_meshes([box("room", n=n), block, panel], materials, written=[True, True, False])
+
+
+@pytest.fixture(scope="module")
+def whole():
+    return run(bake(room(), SETTINGS, LocalCells()))
+
+
+@pytest.mark.parametrize("size", [300, 1000])
+def test_blocks_of_light_are_what_the_whole_is(whole, size, monkeypatch):
+    """A block too small by one ring of neighbors, or one that does not know how many neighbors the last of them have, would
+    show at its rim. The same bits by cells and by the host."""
+    monkeypatch.setattr(module, "WHOLE", size)
+    monkeypatch.setattr(module, "BLOCK", size)
+    assert len(module.light_blocks(len(whole.points))) > 2
+    found = []
+    for cells in (LocalCells(), make_cells(2)):
+        with cells:
+            found.append(run(bake(room(), SETTINGS, cells)))
+    for name in ("direct", "indirect", "variance", "blurred"):
+        mine, other = (getattr(baked.light, name) for baked in found)
+        assert np.array_equal(mine, other)
+        expected = getattr(whole.light, name)
+        assert np.abs(mine - expected).max() < 1e-9 * np.abs(expected).max()
+    assert found[0].estimate.total == pytest.approx(whole.estimate.total, rel=1e-9)
+
+
+def test_a_block_reads_no_more_than_its_surroundings(whole):
+    """Of many points only those within so many steps are read."""
+    points, part = whole.points, slice(0, 100)
+    near = around(points, part)
+    assert near[part].all()
+    assert 100 < np.count_nonzero(near) < len(points) / 2
+
+
+def test_light_is_the_same_whichever_replicate_comes_last(whole):
+    """What the filter makes of the last follows from the others, as long as all were taken everywhere."""
+    state = whole.state()
+    replicates, links = state.gathered.replicates, state.gathered.links
+    assert len(replicates) > 2
+    first = mean_light(whole.points, links, replicates, 1, 1.0)
+    again = mean_light(whole.points, links, replicates[::-1], 1, 1.0)
+    one_left = [replace(r, taken=r.taken & (np.arange(len(r.taken)) > 0)) for r in replicates]  # goes through all
+    third = mean_light(whole.points, links, one_left, 1, 1.0)
+    far = ~around(whole.points, slice(0, 1))
+    for name, light in first.items():
+        scale = np.abs(light).max()
+        assert np.abs(light - again[name]).max() < 1e-11 * scale
+        assert np.abs(light - third[name])[..., far].max() < 1e-11 * scale
+
+
+def test_dark_replicates_have_no_light_and_no_noise():
+    points = run(bake(room(3), replace(SETTINGS, gather_rays=8), LocalCells())).points
+    count = len(points)
+    dark, all_of_them = np.zeros((3, count), np.float32), np.ones(count, bool)
+    one = Replicate(8, all_of_them, all_of_them, dark, dark, dark, np.ones(count, np.float32))
+    light = mean_light(points, np.ones(len(points.neighbor), bool), [one, one], 1, 1.0)
+    assert all(not array.any() for array in light.values())
