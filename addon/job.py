@@ -249,11 +249,11 @@ class Job:
         """Write the result into the file's meshes."""
         run(self.writing(context))
 
-    def writing(self, context):
-        """`write` in steps: a generator that yields before each object. `changed` then holds Findings about objects that
+    def writing(self, context, step=inf):
+        """`write` in steps of some `step` seconds: a generator that yields before each object. `changed` then holds Findings about objects that
         are no longer what was read."""
         begun = perf_counter()
-        self.changed = yield from self.output.writing(context, self.targets)
+        self.changed = yield from self.output.writing(context, self.targets, step)
         self._write_seconds = perf_counter() - begun
 
     def so_far(self, progress):

@@ -260,14 +260,14 @@ class RADIOSITY_OT_bake(_Work, bpy.types.Operator):
     def _paint(self, context, preview):
         """Show the light so far, object by object."""
         job = self._running.job
-        yield from job.output.painting(context, job.targets, preview)
+        yield from job.output.painting(context, job.targets, preview, STEP)
         exposure = context.scene.radiosity.exposure
         if exposure:
             show(context.scene, job.options.layers[0], exposure)
 
     def _finish(self, context, job, partial=False):
         """Write the light, show it, keep what was found and reached, and say so; returns the operator's result."""
-        yield from job.writing(context)
+        yield from job.writing(context, STEP)
         settings, lightmaps = context.scene.radiosity, job.options.target == "lightmap"
         settings.shown = "" if lightmaps else job.options.layers[0]
         if settings.shown and settings.exposure:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from hashlib import blake2b
+from math import inf
 
 import bpy
 import numpy as np
@@ -92,18 +93,18 @@ class VertexColors:
         for name, layer, group in found_layers(self.options, bake)[:1]:
             return {name: layer_colors(bake, layer, group)}
 
-    def painting(self, context, targets, preview):
-        """Show a `preview`, in steps."""
-        return writing_result(context, preview, targets, self.options.domain)
+    def painting(self, context, targets, preview, step=inf):
+        """Show a `preview`, in steps of some `step` seconds."""
+        return writing_result(context, preview, targets, self.options.domain, step=step)
 
     def picture(self, result):
         """What a picture of a Bake is colored with: its corners' Radiosity."""
         return layer_colors(result, "Radiosity")
 
-    def writing(self, context, targets):
-        """Write, in steps; returns Findings."""
+    def writing(self, context, targets, step=inf):
+        """Write, in steps of some `step` seconds; returns Findings."""
         findings = yield from writing_result(
-            context, self.colors, targets, self.options.domain, self.encoded, self.channel
+            context, self.colors, targets, self.options.domain, self.encoded, self.channel, step
         )
         if self.options.bytes:
             copies = result_copies(context.scene)
@@ -140,7 +141,7 @@ class FinerColors(VertexColors):
     def preview(self, bake):
         """None: the finer meshes are shown when they are complete."""
 
-    def writing(self, context, targets):
+    def writing(self, context, targets, step=inf):
         """Write, in steps; returns Findings."""
         findings, fits, formers = [], [], copy_names(context.scene)
         for target in targets:
@@ -244,7 +245,7 @@ class Lightmaps:
         return scene, texels, {**to_arrays("points", texels), **to_arrays("atlas", self.atlas), "flipped": flipped}
 
     def average(self, texels, light, cells, seed):
-        """The direct light of texels that shadows cut, as `bake` asks for it."""
+        """The light of texels that shadows cut, as `bake` asks for it."""
         return average_cut(self._scene, self.atlas, self._flipped, texels, light, cells, seed)
 
     copies = staticmethod(lambda objects: Copies())  # of objects, to show the images, there are some anyhow
@@ -291,7 +292,7 @@ class Lightmaps:
         colors = texel_colors(result, self.atlas, layer, group)
         return make_images(self.atlas, result.points, colors.T, self.seams)
 
-    def writing(self, context, targets):
+    def writing(self, context, targets, step=inf):
         """Write images and copies, in steps; returns Findings."""
         images, copies, formers = {}, [], copy_names(context.scene)
         output, files = self.options.output or bpy.data.filepath, file_names(self.atlas.names)

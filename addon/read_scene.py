@@ -137,6 +137,8 @@ def _place(depsgraph, rendered, reader, wanted, lamps, placed, deadline):
 
 def _read_others(context, depsgraph, reader, scene, placed, corner, spacing):
     """The Readings of all surfaces whose material is not understood, or None."""
+    if not reader.unread:
+        return None
     unread = np.isin(scene.polygon_material, list(reader.unread))[scene.triangle_polygon] & scene.usable
     if not unread.any():
         return None
@@ -172,7 +174,7 @@ class _Placed:
 
 @dataclass(frozen=True)
 class _Shape:
-    """A mesh in its own space, as arrays. corner arrays are in Blender's order."""
+    """A mesh in its own space, as Blender's arrays, float32. corner arrays are in Blender's order."""
 
     vertices: np.ndarray
     polygon_start: np.ndarray
@@ -197,8 +199,10 @@ class _Shape:
         flip = mirrored(matrix)
         order = self.corner_order(flip)
         with np.errstate(invalid="ignore", over="ignore"):
-            vertices = np.einsum("ij,kj->ki", linear, self.vertices) + offset
-            normal = np.einsum("ij,kj->ki", _cofactor(linear), self.corner_normal) * (-1.0 if flip else 1.0)
+            vertices = np.einsum("ij,kj->ki", linear, self.vertices.astype(float)) + offset
+            normal = np.einsum("ij,kj->ki", _cofactor(linear), self.corner_normal.astype(float)) * (
+                -1.0 if flip else 1.0
+            )
             length = np.sqrt((normal * normal).sum(axis=1, keepdims=True))
             normal = np.where(length > 0, normal / np.where(length > 0, length, 1.0), 0.0)
         place = np.empty(len(order), np.int64)
@@ -257,21 +261,16 @@ class _Reader:
         return _shape_key(object) in self._shapes
 
     def _read(self, object, mesh):
-        triangles = mesh.loop_triangles
-        corner = np.empty(3 * len(triangles), np.int32)
-        triangles.foreach_get("loops", corner)
-        polygon = np.empty(len(triangles), np.int32)
-        mesh.loop_triangle_polygons.foreach_get("value", polygon)
+        polygon_start = _polygon_start(mesh)
+        corner, polygon = _triangles(mesh, polygon_start)
         normal = np.empty(3 * len(mesh.loops), np.float32)
         mesh.corner_normals.foreach_get("vector", normal)
         return _Shape(
-            vertices=_values(mesh.attributes["position"].data, "vector", 3 * len(mesh.vertices))
-            .reshape(-1, 3)
-            .astype(float),
-            polygon_start=_polygon_start(mesh),
+            vertices=_values(mesh.attributes["position"].data, "vector", 3 * len(mesh.vertices)).reshape(-1, 3),
+            polygon_start=polygon_start,
             corner_vertex=_corner_vertex(mesh),
-            corner_normal=normal.reshape(-1, 3).astype(float),
-            triangle_corner=corner.reshape(-1, 3),
+            corner_normal=normal.reshape(-1, 3),
+            triangle_corner=corner,
             triangle_polygon=polygon,
             polygon_material=(material := self._polygon_materials(object, mesh)),
             corner_uv=self._corner_uv(object, mesh, material),
@@ -368,6 +367,17 @@ def _values(data, name, count, dtype=np.float32):
     values = np.empty(count, dtype)
     data.foreach_get(name, values)
     return values
+
+
+def _triangles(mesh, polygon_start):
+    """Corners (T, 3) and polygon (T,) of a mesh's triangles. Blender takes longer to tell them than all else of a mesh, so it
+    is not asked where there are no others."""
+    if (np.diff(polygon_start) == 3).all():
+        return np.arange(polygon_start[-1], dtype=np.int32).reshape(-1, 3), np.arange(
+            len(mesh.polygons), dtype=np.int32
+        )
+    corner = _values(mesh.loop_triangles, "loops", 3 * len(mesh.loop_triangles), np.int32)
+    return corner.reshape(-1, 3), _values(mesh.loop_triangle_polygons, "value", len(corner) // 3, np.int32)
 
 
 def _corner_vertex(mesh):

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 from collections import Counter
 from dataclasses import dataclass
+from math import inf
 
 import bpy
 import numpy as np
@@ -19,6 +20,7 @@ from ..core.layers import vertex_means
 from .errors import Refused
 from .images import BRIGHTEST
 from .marks import KEY, hide, is_made, made_layers, mark, mark_layers, originals_shown
+from .steps import aside
 
 # Of one value of an attribute; 4 of all others.
 VALUE_BYTES = {
@@ -44,8 +46,8 @@ def write_result(context, colors, targets, domain):
     return run(writing_result(context, colors, targets, domain))
 
 
-def writing_result(context, colors, targets, domain, encoded=(), channel=None):
-    """`write_result` in steps: a generator that yields before each object.
+def writing_result(context, colors, targets, domain, encoded=(), channel=None, step=inf):
+    """`write_result` in steps of some `step` seconds: a generator that yields before each object.
 
     encoded: names of the layers that are written as 8-bit colors. channel: (attribute, number of its channel, (C,)
     values), to be written into an attribute that is there.
@@ -54,18 +56,24 @@ def writing_result(context, colors, targets, domain, encoded=(), channel=None):
     copies = copy_names(context.scene)
     for target in targets:
         yield
+        # What needs no Blender comes first: in the turns that it takes the mesh may go.
+        own = yield from aside(step, _layers_of_target, target, colors, domain)
+        filled = channel and (*channel[:2], _of_target(target, channel[2]))
         mesh = _place(context, target, copies.get(target.object))
         if isinstance(mesh, Finding):
             findings.append(mesh)
-            continue
-        own = {layer: _of_target(target, values) for layer, values in colors.items()}
-        filled = channel and (*channel[:2], _of_target(target, channel[2]))
-        write_layers(mesh, own, domain, encoded, filled)
+        else:
+            _write_ready(mesh, own, domain, encoded, filled)
     return tuple(findings)
 
 
 def write_layers(mesh, colors, domain, encoded=(), channel=None):
     """Write layers {name: (K, 3) color of every corner of the mesh}; the others as for `writing_result`."""
+    _write_ready(mesh, {layer: _ready(values, domain) for layer, values in colors.items()}, domain, encoded, channel)
+
+
+def _write_ready(mesh, colors, domain, encoded, channel):
+    """`write_layers` of colors that are `_ready`."""
     for layer, values in colors.items():
         _write_layer(mesh, layer, domain, values, "BYTE_COLOR" if layer in encoded else "FLOAT_COLOR")
     mark_layers(mesh, colors)
@@ -195,8 +203,22 @@ def _of_target(target, values):
     return own
 
 
+def _layers_of_target(target, colors, domain):
+    """{layer: those of the scene's corner values that are a target's, ready to be written}."""
+    return {layer: _ready(_of_target(target, values), domain) for layer, values in colors.items()}
+
+
+def _ready(values, domain):
+    """Corner values (K, 3) as an attribute on corners takes them, (K, 4) float32; as they are for one on vertices."""
+    if domain == "POINT":
+        return values
+    rgba = np.ones((len(values), 4), np.float32)
+    np.minimum(values, BRIGHTEST, out=rgba[:, :3], casting="same_kind")
+    return rgba
+
+
 def _write_layer(mesh, layer, domain, values, kind="FLOAT_COLOR"):
-    """Put corner values (K, 3) into the mesh's color attribute `layer`, made anew if it is of another kind."""
+    """Put corner values that are `_ready` into the mesh's color attribute `layer`, made anew if it is of another kind."""
     attribute = mesh.color_attributes.get(layer)
     if attribute is not None and (attribute.domain != domain or attribute.data_type != kind):
         mesh.color_attributes.remove(attribute)
@@ -204,10 +226,8 @@ def _write_layer(mesh, layer, domain, values, kind="FLOAT_COLOR"):
     if attribute is None:
         attribute = mesh.color_attributes.new(layer, kind, domain)
     if domain == "POINT":
-        values = vertex_means(values, _corner_vertices(mesh), len(mesh.vertices))
-    rgba = np.ones((len(values), 4), np.float32)
-    rgba[:, :3] = np.minimum(values, BRIGHTEST)
-    attribute.data.foreach_set("color", rgba.reshape(-1))
+        values = _ready(vertex_means(values, _corner_vertices(mesh), len(mesh.vertices)), "CORNER")
+    attribute.data.foreach_set("color", values.reshape(-1))
 
 
 def _write_channel(mesh, name, channel, values):

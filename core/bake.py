@@ -103,7 +103,8 @@ def bake(scene, settings, cells, place=None, group_of=None, state=None, average=
     light: generator function of Points, that returns (P,) what they get, roughly. group_of: the light
     group of a lamp's or object's name, see groups.make_groups; None keeps no groups. state: the State of a bake of the same
     scene, to go on from: no ray of it is cast again. average: generator function of (points, light, cells, seed) that returns
-    ids (K,) of the points whose direct light is that of a whole surface around them, and that light (C, K); None for none.
+    ids (K,) of the points whose light of sampled sources is that of a whole surface around them, and that light (C, K); None
+    for none.
     Raises StateError if it is not the same scene."""
     scene = mend(scene)
     groups = make_groups(scene, group_of, emitting_polygons(scene)) if group_of else None
@@ -474,18 +475,13 @@ class _Course:
     def result(self, solution=None):
         """The Bake as it stands; solution: of a transport that is not at its end."""
         if solution is None:
-            light = self.gathering.light(self.scene.diagonal)
+            light = self._averaged_light()
         else:
             light = patch_light(self.side, solution)
         points, solution, error = self.points, solution or self.solution, self.settings.error
         reached = self.estimate is not None and self._error <= error
         more = (*thin_findings(self.scene, points), *self._coarse_findings())
-        light = refill(points, light)
-        if self.averaged is not None:
-            ids, direct = self.averaged
-            light = replace(light, direct=light.direct.copy())
-            light.direct[:, ids] = direct
-        by_group = light
+        light = by_group = refill(points, light)
         return Bake(
             self.written,
             self.settings,
@@ -533,6 +529,16 @@ class _Course:
             sources=len(self.sources),
             reflects=reflects(self.scene),
         )
+
+    def _averaged_light(self):
+        """The Light as it stands, at some points that of a whole surface around them."""
+        light = self.gathering.light(self.scene.diagonal)
+        if self.averaged is None:
+            return light
+        ids, sampled = self.averaged
+        direct = light.direct.copy()
+        direct[:, ids] = np.maximum(direct[:, ids] + (sampled - self.gathering.sampled(ids)), 0.0)
+        return replace(light, direct=direct)
 
     def _coarse_findings(self):
         """A Finding if the patches of the known state are longer than those that would have been made."""

@@ -141,6 +141,12 @@ class Gathering:
             self.gathered.links[points.neighbor_start[ids][here] + number] = result["links"]
         replicate.taken[ids] = True  # at last: what has it is whole
 
+    def sampled(self, ids):
+        """(G C, K) light of the sampled sources alone at points ids (K,), a part of the direct light."""
+        weight = [r.weight[ids] for r in self.gathered.replicates]
+        total = sum(w * r.direct[:, ids] for w, r in zip(weight, self.gathered.replicates))
+        return ratio(total, sum(weight))
+
     def light(self, diagonal):
         """The Light so far, filtered; diagonal: of the scene [m]. See `mean_light`."""
         (light,) = deque(self.smoothing(diagonal, in_cells=False), maxlen=1)

@@ -174,8 +174,8 @@ def _settle(scene, position, normal, edge, flipped, cells):
 
 
 def average_cut(scene, atlas, flipped, texels, light, cells, seed):
-    """Texels (K,) that the edge of a shadow cuts, and their direct light (C, K), the mean over all of each that the chart has
-    and nothing covers: a generator that yields (places done, all places).
+    """Texels (K,) that the edge of a shadow cuts, and their light of sampled sources (C, K), the mean over all of each that the
+    chart has and nothing covers: a generator that yields (places done, all places).
 
     light: the Light at the texels; flipped: (P,) bool, polygons whose back side's light is asked for. cells: started with
     the scene's arrays and its sources.
@@ -236,7 +236,7 @@ def _parts(atlas, texels, ids):
 
 
 def light_parts(kernel, seed, **places):
-    """{"direct": (C, K)} direct light at the places of a Block, parts of texels, see `average_cut` [W/m^2]."""
+    """{"direct": (C, K)} light of sampled sources at the places of a Block, parts of texels, see `average_cut` [W/m^2]."""
     places = Block(**places)
     each = range(len(kernel.sources))
     factor = [unoccluded(kernel.sources, s, places.position, places.normal) for s in each]

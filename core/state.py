@@ -48,7 +48,7 @@ class State:
     without a ray, {name: array}; side: (P,) the patch side of each. gathered: replicates, and the bound of the transport
     that each of them read, bounds. control: ids and weights of control points, drawn from each object or not; traced: their
     truths; doubt: that of the estimate before they were last traced, since the last replicate. openness: (distance, (P,)).
-    averaged: ids (K,) of points whose direct light is that of a whole surface around them, and that light (C, K). price: the list that the
+    averaged: ids (K,) of points whose light of sampled sources is that of a whole surface around them, and that light (C, K). price: the list that the
     pilot foretold. seconds: {phase: spent so far}, and "replicates" those on `rays` gather rays. note: whoever asked for
     the bake may leave one.
     """

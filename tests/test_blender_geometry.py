@@ -326,3 +326,26 @@ def test_bad_data_in_one_object_is_named_and_the_rest_is_baked(cells):
     assert not colors(flat.data, "Lighting").any()
     with pytest.raises(Refused, match=r"bad|flat|empty slot"):
         bake_ours(cells, strict=True)
+
+
+@pytest.mark.parametrize("split", [False, True])
+def test_triangles_are_blenders_own(split):
+    """Those of quads and of a polygon with a bay; and of triangles alone, for which it is not asked."""
+    empty()
+    floor = plane("floor", n=3)
+    around = ((0, 0, 1), (4, 0, 1), (4, 4, 1), (2, 1, 1), (0, 4, 1))
+    bay = mesh_object("bay", around, [(0, 1, 2, 3, 4)])
+    if split:
+        for object in (floor, bay):
+            object.modifiers.new("Triangulate", "TRIANGULATE")
+    scene = read()
+    expected = {}
+    for object in (floor, bay):
+        mesh = object.evaluated_get(bpy.context.evaluated_depsgraph_get()).to_mesh()
+        expected[object.name] = [list(t.loops) for t in mesh.loop_triangles]
+        assert all(len(p.vertices) == 3 for p in mesh.polygons) == split
+    for k, name in enumerate(scene.objects):
+        own = scene.polygon_object[scene.triangle_polygon] == k
+        first = scene.polygon_start[np.flatnonzero(scene.polygon_object == k)[0]]
+        assert (scene.triangle_corner[own] - first).tolist() == expected[name]
+        assert len(expected[name]) > 1

@@ -18,7 +18,7 @@ from cell_radiosity.core.records import from_arrays, to_arrays
 from cell_radiosity.core.state import load_state, save_state
 from cell_radiosity.core.vectors import numbered
 
-from scenes import Lamp, Material, Settings, bake, box, icosphere, join_meshes, point_light, run, sheet
+from scenes import Lamp, Material, Settings, World, bake, box, icosphere, join_meshes, point_light, run, sheet
 
 LAMP = Lamp("point", (10.0, 10.0, 10.0), (1.0, 2.0, 2.0), radius=0.0)
 
@@ -339,6 +339,18 @@ def test_what_is_reflected_and_what_no_edge_cuts_stays_as_it_is(cells):
     baked, plain = (bake_map(open_, atlas, cells, averaged=a, gather_rays=64) for a in (True, False))
     changed = (baked.light.direct != plain.light.direct).any(axis=0)
     assert not changed[np.abs(baked.points.position[:, :2] - 1.8).max(axis=1) > 1.2].any()
+
+
+def test_light_that_rays_find_stays_in_texels_that_the_sun_cuts(cells):
+    """The sky is no sampled source: what it gives is in the middle of a texel what it is beside it."""
+    scene, atlas = sunny_floor()
+    sunny, cloudy = replace(scene, world=World((1.0, 1.0, 1.0))), replace(scene, world=World((1.0, 1.0, 1.0)), lamps=())
+    baked, plain = (bake_map(sunny, atlas, cells, averaged=a, gather_rays=64).light.direct[0] for a in (True, False))
+    sky = bake_map(cloudy, atlas, cells, gather_rays=64).light.direct[0]
+    dark = bake_map(scene, atlas, cells, gather_rays=64).light.direct[0]
+    cut = baked != plain
+    assert cut.any()
+    np.testing.assert_allclose(baked[cut], (sky + dark)[cut], rtol=0.01)
 
 
 def test_means_over_texels_have_the_same_bits_with_other_cells_and_from_a_state(cells, tmp_path):

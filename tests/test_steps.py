@@ -85,3 +85,21 @@ def test_objects_that_changed_during_the_bake_are_named_and_the_rest_is_written(
     }
     assert "Radiosity" not in floor.color_attributes
     assert colors(bpy.data.objects["wall"].data, "Radiosity").max() > 0
+
+
+@pytest.mark.parametrize("domain", ["CORNER", "POINT"])
+def test_writing_in_steps_gives_the_same_colors(room, cells, domain):
+    """And an object that goes in a step's pause is named and left out."""
+    job = finished(cells, domain=domain)
+    job.write(bpy.context)
+    before = {name: colors(bpy.data.objects[name].data, "Radiosity") for name in ("plane", "cube_radiosity")}
+    bpy.data.objects["plane"].data.color_attributes.remove(bpy.data.objects["plane"].data.color_attributes["Radiosity"])
+    assert sum(1 for _ in job.writing(bpy.context, step=0.0)) >= 2
+    assert not job.changed
+    for name, values in before.items():
+        assert np.array_equal(colors(bpy.data.objects[name].data, "Radiosity"), values)
+    steps = job.writing(bpy.context, step=0.0)
+    next(steps)
+    bpy.data.objects.remove(bpy.data.objects["plane"])
+    run(steps)
+    assert [finding.object for finding in job.changed] == ["plane"]
