@@ -12,7 +12,7 @@ import numpy as np
 
 from .accuracy import CROWDED, MOST_RAYS, Estimate, estimate_error, rays_by_object, rays_wanted
 from .cells import LocalCells
-from .choices import control_points, control_rays, eased, finer, more_control
+from .choices import control_points, control_rays, eased, finer, more_control, shadowless
 from .clock import Clock
 from .contacts import cut_contacts
 from .control import Control, Traced, draw_control
@@ -508,7 +508,7 @@ class _Course:
     @cached_property
     def _usual(self):
         """Patches, and rays of a row, as they would be without the ease of a room where nothing casts a shadow."""
-        if eased(self._asked, self.survey) == self._asked:
+        if not shadowless(self.survey) or eased(self._asked, self.survey) == self._asked:
             return len(self.patches), self.settings.row_rays
         (count,) = count_patches(self.scene, [patch_size(self.scene, self._asked)])
         return count, self._asked.row_rays

@@ -33,15 +33,18 @@ def eased(settings, found):
     usual = Settings.for_error(settings.error, per_object=settings.per_object)
     if (settings.patch_edge, settings.row_rays, settings.rows) != (usual.patch_edge, usual.row_rays, "rays"):
         return settings
-    if not any(found.needs(name) for name in ("occlusion", "sky", "textures", "transparency")):
-        if settings.error < EASED_FROM:
-            return settings
+    if shadowless(found) and settings.error >= EASED_FROM:
         return replace(settings, patch_edge=EASED * settings.patch_edge, row_rays=2 * settings.row_rays)
     if settings.per_object:  # in a dim object much may be reflected
         return settings
     enough = settings.error / max(found.indirect, 1e-9)
     parts, rays = next(((p, n) for least, p, n in COARSE if enough >= least), (None, None))
     return replace(settings, patch_edge=1 / parts, row_rays=rays) if parts else settings
+
+
+def shadowless(found):
+    """Whether nothing casts a shadow, and no light comes through openings or from images, by what the survey found."""
+    return not any(found.needs(name) for name in ("occlusion", "sky", "textures", "transparency"))
 
 
 def finer(wanted, settings):

@@ -29,6 +29,7 @@ SHARE = 0.2  # of the error asked for that one effect may be worth when it is le
 SEEN = 150  # rays of the survey from each side of the faces, divided by the error asked for
 MOST_RAYS = 100_000  # of the survey, from each side
 EACH = 4  # rays at least from each side of every piece of surface
+EARLY = 8  # one in so many rays goes before the others
 LAMP_RAYS = 256  # rays from each lamp
 MOST_LAMPS = 64  # that send them
 MOST_GLOWING = 256  # emitting faces that may be seen without obstruction; of more, some are taken to be hidden
@@ -171,33 +172,11 @@ class _Look:
         self._cast()
 
     def _cast(self):
-        """Cast the rays: from both sides of the faces, from the lamps, and toward the suns."""
-        scene, usable = self.scene, self.usable
+        """Cast the rays: from the lamps, from both sides of the faces, and toward the suns."""
+        scene = self.scene
         pieces = int(self._piece.max(initial=-1)) + 1
         nodes = [2 * self._piece[scene.triangle_polygon], 2 * self._piece[scene.triangle_polygon] + 1]
         lit, open_to_sky = np.zeros(2 * pieces, bool), np.zeros(2 * pieces, bool)
-        triangle, number = self._origins(pieces)
-        self.rays, here, there = len(triangle), [], []
-        escaped, on_back, on_front = np.zeros(2, int), np.zeros(2, int), np.zeros(2, int)
-        meets = np.zeros(2)
-        suns = [lamp for lamp in self.lamps if lamp.kind == "sun"]
-        for side in (0, 1):
-            position, normal, direction = face_rays(scene, triangle, number, side)
-            hit, back = self._hits(position, normal, direction)
-            met = hit >= 0
-            here.append(nodes[side][triangle[met]])
-            there.append(_nodes_met(nodes, hit, back))
-            escaped[side] = int((~met).sum())
-            on_back[side], on_front[side] = int((met & back).sum()), int((met & ~back).sum())
-            returned = self.materials.returned[scene.polygon_material[scene.triangle_polygon[hit[met]]]]
-            meets[side] = float(returned.max(initial=0.0))
-            open_to_sky[nodes[side][triangle[~met]]] = True
-            for sun in suns:
-                toward = np.broadcast_to(np.asarray(sun.axes[2], float), position.shape)
-                faces = np.flatnonzero(dot(toward, normal) > 0)
-                free = faces[self._hits(position[faces], normal[faces], toward[faces])[0] < 0]
-                lit[nodes[side][triangle[free]]] = True
-        self.escaped, self.on_back, self.on_front, self.meets = escaped, on_back, on_front, meets
         for lamp in sorted(self.lamps, key=lamp_power, reverse=True)[:MOST_LAMPS]:
             if lamp.kind != "sun":
                 hit, back = self._hits(*_lamp_rays(lamp))
@@ -206,40 +185,76 @@ class _Look:
         for side in (0, 1):
             hit, back = self._hits(*face_rays(scene, glowing, number, side))
             lit[_nodes_met(nodes, hit, back)] = True
-        self.sky = _sky(self)
-        if self.sky.needed or (scene.world.brightest > 0 and _forced(self.settings, "sky")):
-            lit |= open_to_sky
         # Both sides of what light passes through are one.
         thin = np.unique(self._piece[self.materials.thin[scene.polygon_material]])
-        label = components(np.concatenate([*here, 2 * thin]), np.concatenate([*there, 2 * thin + 1]), 2 * pieces)
+        here, there = [2 * thin], [2 * thin + 1]
+
+        self.rays, self.escaped, self.met = 0, np.zeros(2, int), 0
+        self.meets = 0.0  # the most that a face sends on which a ray has met
+        suns = [np.asarray(lamp.axes[2], float) for lamp in self.lamps if lamp.kind == "sun"]
+        for triangle, number in self._origins(pieces):
+            self.rays += len(triangle)
+            for side in (0, 1):
+                position, normal, direction = face_rays(scene, triangle, number, side)
+                hit, back = self._hits(position, normal, direction)
+                met, node = hit >= 0, nodes[side][triangle]
+                here.append(node[met])
+                there.append(_nodes_met(nodes, hit, back))
+                open_to_sky[node[~met]] = True
+                self.escaped[side] += np.count_nonzero(~met)
+                self.met += np.count_nonzero(met)
+                returned = self.materials.returned[scene.polygon_material[scene.triangle_polygon[hit[met]]]]
+                self.meets = max(self.meets, float(returned.max(initial=0.0)))
+                for toward in suns:
+                    faces = np.flatnonzero((dot(normal, toward) > 0) & ~lit[node])
+                    toward = np.broadcast_to(toward, (len(faces), 3))
+                    free = faces[self._hits(position[faces], normal[faces], toward)[0] < 0]
+                    lit[node[free]] = True
+            self._join(np.concatenate(here), np.concatenate(there), lit, open_to_sky)
+            if self._settled():
+                break
+
+    def _join(self, here, there, lit, open_to_sky):
+        """The parts of the scene that rays have joined, from nodes (K,) to nodes (K,): sides of pieces; lit, open_to_sky:
+        (N,) bool, those that sources light, and that see the sky."""
+        scene = self.scene
+        self.sky = _sky(self)
+        if self.sky.needed or (scene.world.brightest > 0 and _forced(self.settings, "sky")):
+            lit = lit | open_to_sky
+        label = components(here, there, len(lit))
         self.island = np.stack([label[2 * self._piece], label[2 * self._piece + 1]], axis=1).astype(np.int32)
         self.lit_islands = np.unique(label[lit])
         # A back side matters if its island has light.
-        backs = np.flatnonzero(np.isin(self.island[scene.triangle_polygon[usable], 1], self.lit_islands))
-        self.lit_object = _owner(scene, usable[backs[0]]) if len(backs) else None
+        backs = np.flatnonzero(np.isin(self.island[scene.triangle_polygon[self.usable], 1], self.lit_islands))
+        self.lit_object = _owner(scene, self.usable[backs[0]]) if len(backs) else None
+
+    def _settled(self):
+        """Whether more rays could show nothing: each effect that they may call for has been called for."""
+        sky = self.sky.needed or self.scene.world.brightest <= 0
+        return sky and self.meets > 0 and self.lit_object is not None and len(self.lit_islands) == 1
 
     def _origins(self, pieces):
-        """Triangles (K,) that rays set out from, by area, a few from every piece at least; and the rays' numbers (K,)."""
+        """Triangles (K,) that rays set out from and the rays' numbers (K,), in a few parts, so that what the first of them
+        have seen is not looked for again: spread by area, with a few from every piece in the first."""
         scene = self.scene
         count = int(min(SEEN / self.settings.error, MOST_RAYS))
         area = scene.triangle_normal_area[1][self.usable]
         if not len(area):
-            return np.zeros(0, np.int64), np.zeros(0, np.int64)
+            yield self.usable, self.usable
+            return
         upper = np.cumsum(area)
         place = (np.arange(count) + 0.5) / count * upper[-1]
         chosen = self.usable[np.minimum(np.searchsorted(upper, place, side="right"), len(area) - 1)]
-        piece = self._piece[scene.triangle_polygon[self.usable]]
+        number, some = np.arange(count), np.zeros(0, np.int64)
         if pieces * EACH <= MOST_RAYS:
+            piece = self._piece[scene.triangle_polygon[self.usable]]
             order = np.argsort(piece, kind="stable")
             first = np.searchsorted(piece[order], np.arange(pieces))
             size = np.diff(np.append(first, len(order)))
-            some = (
-                [order[(first + (size * (2 * k + 1)) // (2 * EACH))[size > 0]] for k in range(EACH)]
-                if len(order)
-                else []
-            )
-            chosen = np.concatenate([chosen, *(self.usable[s] for s in some)])
-        return chosen, np.arange(len(chosen))
+            some = np.concatenate([order[(first + (size * (2 * k + 1)) // (2 * EACH))[size > 0]] for k in range(EACH)])
+        early = number % EARLY == 0
+        yield np.append(chosen[early], self.usable[some]), np.append(number[early], count + np.arange(len(some)))
+        yield chosen[~early], number[~early]
 
     def _glowing(self):
         """Emitting triangles (K,) that rays set out from, each as often as its area says, and the rays' numbers (K,)."""
@@ -428,11 +443,10 @@ def _owner(scene, triangle):
 
 def _interreflection(look):
     """How often light can bounce before what is left is below the error asked for."""
-    met = look.on_front.sum() + look.on_back.sum()
     most = float(look.materials.returned[np.unique(look.material)].max(initial=0.0)) if len(look.material) else 0.0
     asked = f"at the {100 * look.settings.error:g} % asked for"
-    if not met or not max(look.meets):
-        what = "met a face" if not met else "met a face that reflects"
+    if not look.meets:
+        what = "met a face" if not look.met else "met a face that reflects"
         return Effect("interreflection", False, f"none of {2 * look.rays} rays from faces {what}")
     left = most / (1.0 - most)
     if left <= look.tolerance:

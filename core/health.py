@@ -14,7 +14,7 @@ from .raycast import OFFSET, RayCaster
 from .sampling import fraction, hemisphere, lattice, scatter, tangents
 from .scene import following_corners
 from .surfaces import LARGEST_REFLECTANCE
-from .vectors import dot, length, runs, whole_runs
+from .vectors import dot, length, whole_runs
 
 FARTHEST = 1e15  # coordinates beyond it leave float64 too few digits to be squared, cubed and compared [m]
 FAR = 1e9  # nothing is further from the middle than so many times what half of the scene is
@@ -239,14 +239,14 @@ def _tiny(scene):
     triangle = np.flatnonzero(scene.solid)
     if not len(triangle):
         return
-    owner = scene.polygon_object[scene.triangle_polygon[triangle]]
-    low, high = np.full((len(scene.objects), 3), np.inf), np.full((len(scene.objects), 3), -np.inf)
-    for part in runs(len(triangle)):
-        corners = scene.vertices[scene.triangles[triangle[part]]]
-        np.minimum.at(low, owner[part], corners.min(axis=1))
-        np.maximum.at(high, owner[part], corners.max(axis=1))
-    seen = np.unique(owner)
-    size = length(high[seen] - low[seen])
+    owner = np.zeros(len(scene.vertices), np.int32)
+    for column in range(3):
+        owner[scene.triangles[triangle, column]] = scene.polygon_object[scene.triangle_polygon[triangle]]
+    vertex = scene.used_vertices(triangle)
+    vertex = vertex[np.argsort(owner[vertex], kind="stable")]
+    seen, first = np.unique(owner[vertex], return_index=True)
+    place = scene.vertices[vertex]
+    size = length(np.maximum.reduceat(place, first) - np.minimum.reduceat(place, first))
     gap = OFFSET * scene.diagonal
     for o, extent in zip(seen[size < 10 * gap], size[size < 10 * gap]):
         yield Finding(

@@ -180,6 +180,31 @@ def test_dim_room_beside_a_bright_one(ratio):
     assert baked.solution.converged
 
 
+@pytest.mark.parametrize("side", ["front", "back"])
+@pytest.mark.parametrize("name", [*TURNS])
+def test_few_rays_decide_as_all_do_where_nothing_is_left_to_see(name, side, monkeypatch):
+    for scene in TURNS[name][1:]:
+        early = decided(scene, side=side)
+        with monkeypatch.context() as patched:
+            patched.setattr("cell_radiosity.core.effects.EARLY", 1)  # all rays are cast at once
+            assert {k: needed for k, (needed, _) in early.items()} == {
+                k: needed for k, (needed, _) in decided(scene, side=side).items()
+            }
+
+
+def test_rays_end_early_where_everything_is_called_for(monkeypatch):
+    """A floor in the sun below a sheet that is turned to the sky: an eighth of the rays shows all that there is."""
+    floor = sheet("floor", [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)])
+    turned = sheet("turned", [(0, 0, 0.5), (0, 1, 0.5), (1, 1, 0.5), (1, 0, 0.5)])
+    rays = []
+    for early in (8, 1):
+        monkeypatch.setattr("cell_radiosity.core.effects.EARLY", early)
+        cells = LocalCells()
+        survey(join_meshes([floor, turned], [GRAY], [Lamp("sun", (1.0,) * 3)]), Settings(error=0.01), cells)
+        rays.append(cells.usage.rays)
+    assert rays[0] < rays[1] / 3
+
+
 def test_survey_of_nothing():
     found = survey(join_meshes([]))
     assert not any(e.needed for e in found.effects)
