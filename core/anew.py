@@ -1,18 +1,73 @@
 """Light that a hit reflects, sampled anew: not as its patch has it, but as it is at that very place.
 
 A patch has one radiosity; where shadows and contacts are finer than it, rays that ask for the truth go on: with a test
-ray to one source, and one more ray, and a guided one if there are any, whose hits then read the patches.
+ray to one source, and one more ray, and a guided one if there are any, whose hits then read the patches. All rays that
+meet a side across which the shadow of a bright source ends ask anew for the light of that one source.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from .guide import Aim
 from .lights import from_one_test, likely_light, test_rays
-from .sampling import hemisphere, tangents
+from .sampling import R2, fraction, hemisphere, scatter, tangents
 from .scene import normal_and_area
 from .vectors import by_coordinate, take
+
+EDGE = 12  # salt of the samples
+BRIGHT = 1.0  # times what points get in the mean: as much a source must add to what a side reflects, or its edge is no matter
+NEAR = 4.0  # times as long as a side is: hits from further away read its mean
+APART = (0.41421356237309503, 0.7320508075688772)  # steps from point to point of the samples' shifts
+
+
+@dataclass(frozen=True)
+class Edges:
+    """Patch sides (E,) that a source lights in part, its number (E,), the mean irradiance (E,) that it gives each, per unit
+    of its strength, and the irradiance (E,) that it would give the whole side [W/m^2]: of several sources, the brightest."""
+
+    sides: np.ndarray
+    source: np.ndarray
+    mean: np.ndarray
+    whole: np.ndarray
+
+
+def edge_arrays(edges, reflectance, level):
+    """The arrays that cells need to read light at bright edges, as {name: array}: of (2 N,) sides the source, -1 for none,
+    and the mean irradiance by it; both are empty if there are none. edges: Edges or None. reflectance: (C, 2 N) of sides;
+    level: irradiance of points in the mean [W/m^2]."""
+    source = mean = np.zeros(0)
+    if edges is not None:
+        bright = edges.whole * reflectance[:, edges.sides].max(axis=0) > BRIGHT * level
+        if bright.any():
+            source, mean = np.full(reflectance.shape[1], -1, np.int16), np.zeros(reflectance.shape[1])
+            source[edges.sides[bright]], mean[edges.sides[bright]] = edges.source[bright], edges.mean[bright]
+    return {"edges.source": source, "edges.mean": mean}
+
+
+def read_reflected(kernel, hit, ids, each, seed):
+    """(C, K * each) light [W/m^2] that sides reflect toward rays that met them: Hits of `each` rays from places ids (K,). On
+    edges the light of the source is that of the very place, seen by one test ray: near them, and there are few, a mean over
+    the side is what is most wrong with the light of the points."""
+    light, source = read_light(kernel.arrays["gather.reflected"], hit.side), kernel.arrays["edges.source"]
+    if not len(source):
+        return light
+    there = np.flatnonzero((hit.side >= 0) & (np.take(source, hit.side, mode="clip") >= 0))
+    distance = hit.distance[there] / kernel.caster.frame[1]
+    there = there[distance * distance < NEAR * NEAR * kernel.patches.area[hit.side[there] >> 1]]
+    picked = source[hit.side[there]]
+    for s in np.unique(picked):
+        chosen = there[picked == s]
+        point, ray = np.divmod(chosen, each)
+        shift = scatter(np.arange(2) + 2 * s, EDGE + 8 * seed)
+        a, b = (fraction(ids[point] * APART[k] + ray * R2[k] + shift[k]) for k in range(2))
+        position, normal, start = _places(kernel, hit, chosen)
+        own = hit.side[chosen]
+        change = _from_source(kernel, s, position, normal, start, a, b) - kernel.arrays["edges.mean"][own]
+        light[:, chosen] += kernel.arrays["gather.reflectance"][:, own] * (kernel.sources.strength[s][:, None] * change)
+    return light
 
 
 def reflect_anew(kernel, hit, chosen, x):
@@ -21,13 +76,7 @@ def reflect_anew(kernel, hit, chosen, x):
 
     x: (5, K) samples in [0, 1): which source, or side that rays are guided to, a place on it, and the direction of the ray.
     """
-    triangle, back = hit.triangle[chosen], hit.back[chosen]
-    corners = np.take(kernel.triangles, triangle, axis=0).T
-    a, b, c = (by_coordinate(np.take(kernel.vertices, corner, axis=0)) for corner in corners)
-    u, v = hit.u[chosen, None].astype(float), hit.v[chosen, None].astype(float)
-    position = a + u * (b - a) + v * (c - a)
-    normal = normal_and_area(a, b, c)[0] * np.where(back, -1.0, 1.0)[:, None]
-    start = kernel.caster.start(position, normal)
+    position, normal, start = _places(kernel, hit, chosen)
     arriving = _one_source(kernel, position, normal, start, x[0], x[1], x[2])
     local = hemisphere(x[3], x[4])
     t1, t2 = tangents(normal)
@@ -56,6 +105,22 @@ def first_light(kernel, position, normal, samples):
     return {"light": _one_source(kernel, position, normal, start, *samples).mean(axis=0)}
 
 
+def _places(kernel, hit, chosen):
+    """Positions and normals (K, 3) of the chosen hits (K,) of Hits, and where rays start from there, (K, 3) float32."""
+    corners = np.take(kernel.triangles, hit.triangle[chosen], axis=0).T
+    a, b, c = (by_coordinate(np.take(kernel.vertices, corner, axis=0)) for corner in corners)
+    u, v = hit.u[chosen, None].astype(float), hit.v[chosen, None].astype(float)
+    position = a + u * (b - a) + v * (c - a)
+    normal = normal_and_area(a, b, c)[0] * np.where(hit.back[chosen], -1.0, 1.0)[:, None]
+    return position, normal, kernel.caster.start(position, normal)
+
+
+def _from_source(kernel, s, position, normal, start, a, b):
+    """(K,) irradiance per unit of strength that places (K, 3) get from source s, by one test ray each."""
+    _weight, seen = test_rays(kernel.sources, s, kernel.caster, position, normal, normal, start, a, b)
+    return from_one_test(kernel.sources, s, position, normal, seen, a)
+
+
 def _one_source(kernel, position, normal, start, pick, a, b):
     """(C, K) direct irradiance at points (K, 3) [W/m^2] from one source each, picked by what it may give, over the
     probability of the pick. pick, a, b: (K,) in [0, 1)."""
@@ -73,9 +138,7 @@ def _one_source(kernel, position, normal, start, pick, a, b):
     over = upto[-1, order] / likely[picked, order]
     for s in np.unique(picked):
         mine = slice(*ends[s : s + 2])
-        place, up = position[mine], normal[mine]
-        _weight, seen = test_rays(sources, s, kernel.caster, place, up, up, start[mine], a[mine], b[mine])
-        factor = from_one_test(sources, s, place, up, seen, a[mine])
+        factor = _from_source(kernel, s, position[mine], normal[mine], start[mine], a[mine], b[mine])
         light[:, order[mine]] = sources.strength[s][:, None] * (factor * over[mine])
     return light
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .anew import read_light, reflect_anew
+from .anew import read_light, read_reflected, reflect_anew
 from .gather import SEEDS, TASK_RAYS, Shooter, weighted_sum
 from .kernel import blocks
 from .lights import test_rays
@@ -119,7 +119,7 @@ def control_points(kernel, rays, seed, **points):
     """{"truth", "patches": (C, K)} the light of the K points of a Block by rays that go on, and how much more the same rays
     bring when they read the patches that they meet [W/m^2]."""
     points = Block(**points)
-    reflected, found = kernel.arrays["gather.reflected"], kernel.arrays["gather.found"]
+    found = kernel.arrays["gather.found"]
     truth = direct_light(kernel, points, kernel.factors_at(points), min(rays, DIRECT_TESTS), FEWEST_TESTS, seed)
     patches = np.zeros_like(truth)
     shooter = Shooter(kernel, points, rays, seed)
@@ -127,10 +127,10 @@ def control_points(kernel, rays, seed, **points):
         hit, weight = shooter.shoot(part)
         counts = (hit.side >= 0) & (weight.reshape(-1) > 0)
         emitted = read_light(found, hit.side)
-        deeper = np.zeros((len(reflected), len(counts)))
+        deeper = np.zeros((len(truth), len(counts)))
         samples = _samples(points.ids[part], shooter.each, seed)[:, counts]
         deeper[:, counts] = reflect_anew(kernel, hit, np.flatnonzero(counts), samples)
-        flat = np.where(counts, read_light(reflected, hit.side), 0.0)
+        flat = np.where(counts, read_reflected(kernel, hit, points.ids[part], shooter.each, seed), 0.0)
         truth[:, part] += weighted_sum(emitted + deeper, weight)
         patches[:, part] = weighted_sum(flat - deeper, weight)
     return {"truth": truth, "patches": patches}

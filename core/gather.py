@@ -15,7 +15,7 @@ from time import thread_time
 
 import numpy as np
 
-from .anew import read_light
+from .anew import edge_arrays, read_light, read_reflected
 from .guide import NOTHING, Aim, guide_samples
 from .kernel import blocks
 from .lights import FLAT, test_rays, unlike, unoccluded
@@ -200,6 +200,7 @@ def light_arrays(points, solution, surfaces, sky, side):
     through = nothing
     if surfaces.translucency.any():
         through = solution.reflected - surfaces.reflectance * solution.irradiance
+    level = np.sqrt((points.area * light * light).sum() / max(points.area.sum(), 1e-300))
     # Cells know no points; but what they have found out at some is not true of others.
     place = blake2b(np.ascontiguousarray(points.position), digest_size=16)
     place.update(np.ascontiguousarray(points.normal))
@@ -210,7 +211,8 @@ def light_arrays(points, solution, surfaces, sky, side):
         "gather.reflected": reflected if reflected.any() else nothing,
         "gather.reflectance": surfaces.reflectance,
         "gather.through": through,
-        "gather.level": np.sqrt((points.area * light * light).sum() / max(points.area.sum(), 1e-300)),
+        "gather.level": level,
+        **edge_arrays(solution.edges if reflected.any() else None, surfaces.reflectance, level),
         "gather.found": found if found.any() else nothing,
     }
 
@@ -236,7 +238,8 @@ def gather_points(kernel, rays, tests, seed, links, **points):
     for part in blocks(len(points), shooter.each):
         hit, weight = shooter.shoot(part)
         if reflected.size:
-            result["reflected"][:, part] = weighted_sum(read_light(reflected, hit.side), weight)
+            light = read_reflected(kernel, hit, points.ids[part], shooter.each, seed)
+            result["reflected"][:, part] = weighted_sum(light, weight)
         if found.size:
             result["found"][:, part] = weighted_sum(read_light(found, hit.side), weight)
         distance = hit.distance.reshape(-1, shooter.each)[:, :rays]

@@ -17,6 +17,7 @@ from time import perf_counter
 
 import numpy as np
 
+from .anew import Edges
 from .graphs import components
 from .guide import LOOK_RAYS, NOTHING, Guide, bright_sides, make_guide
 from .records import to_arrays
@@ -69,7 +70,7 @@ class Solution:
     reflected: light sent back or through, what gather rays read. irradiance: light arriving; direct: the part of it
     from sampled sources. rounds: tuple of Round.
     sweeps: over all rows. bound: certified bound on the largest error of `irradiance`, as a share of its mean.
-    energy: {name: W}, sums of the channels. rows: those that were kept. guide: sides that rays are guided to, None as long as
+    energy: {name: W}, sums of the channels. edges: sides that a source lights in part. rows: those that were kept. guide: sides that rays are guided to, None as long as
     that is not known, and guided: (C, 2 N) irradiance by their first light.
     """
 
@@ -81,6 +82,7 @@ class Solution:
     bound: float
     converged: bool
     energy: dict
+    edges: Edges | None = None
     rows: RayRows | AnalyticRows | None = field(default=None, repr=False)
     guide: Guide | None = None
     guided: np.ndarray | None = field(default=None, repr=False)
@@ -244,12 +246,12 @@ class Transport:
     the two. What is still missing is judged in each of them by the light that is there.
     """
 
-    def __init__(self, area, surfaces, direct, sky, rows, own=None, island=None):
+    def __init__(self, area, surfaces, direct, sky, rows, own=None, island=None, edges=None):
         self.area = np.repeat(area, 2)
         if surfaces.coverage is not None:  # of what rays may pass, the part that light falls on
             self.area = self.area * np.maximum(surfaces.coverage, LEAST_COVERAGE)
         self.surfaces, self.sky = surfaces, np.reshape(np.asarray(sky, float), (len(sky), -1))
-        self.direct = direct
+        self.direct, self.edges = direct, edges
         self.rows = rows
         self.own = self.area * (surfaces.found if own is None else own)
         self.first = self.area * direct  # power that arrived first-hand
@@ -394,6 +396,7 @@ class Transport:
             bound=bound,
             converged=bound <= target,
             energy=self.energy(),
+            edges=self.edges,
             rows=self.rows,
             guide=self.guide,
             guided=self.guided,
@@ -507,8 +510,8 @@ def solve(patches, surfaces, sky, cells, settings, survey=None, known=None, writ
         island = np.unique(survey.island[patches.polygon].reshape(-1), return_inverse=True)[1].reshape(-1)
         sides = sides if survey.needs("two-sided") else sides[::2]
     known_rows = rows.empty() if known is None else known.rows
-    direct = light_patches(cells, count, settings, sides) if known is None else known.direct
-    state = Transport(patches.area, surfaces, direct, sky, rows, island=island)
+    direct, edges = light_patches(cells, count, settings, sides) if known is None else (known.direct, known.edges)
+    state = Transport(patches.area, surfaces, direct, sky, rows, island=island, edges=edges)
     if known is not None:
         state.guide, state.guided = known.guide, known.guided
     taken, in_flight, rounds, sweeps, shots = np.zeros(count, bool), deque(), [], 0, 0
@@ -591,7 +594,7 @@ def _brought(rows, in_flight, cells):
 
 
 def light_patches(cells, count, settings, sides=None):
-    """(C, 2 N) direct irradiance of all patch sides, or of some of them (K,); the others' is 0."""
+    """(C, 2 N) direct irradiance of all patch sides, or of some of them (K,); the others' is 0; and their Edges."""
     sides = np.arange(count) if sides is None else sides
     samples = max(int(settings.light_samples * settings.patch_samples), 1)
     size = _task_size(len(sides), samples, cells)
@@ -599,10 +602,12 @@ def light_patches(cells, count, settings, sides=None):
         cells.submit("direct", sides=part, samples=samples, seed=settings.seed)
         for part in _parts(sides, size) or [sides]
     ]
-    found = np.concatenate([result["direct"] for result in cells.take(tasks)], axis=1)
+    results = cells.take(tasks)
+    found = np.concatenate([result["direct"] for result in results], axis=1)
     direct = np.zeros((len(found), count))
     direct[:, sides] = found
-    return direct
+    edges = (np.concatenate([result[name] for result in results]) for name in ("partly", "source", "mean", "whole"))
+    return direct, Edges(*edges)
 
 
 def make_rows(count, settings):

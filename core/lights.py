@@ -254,8 +254,10 @@ def likely_light(sources, s, position, normal):
 
 
 def patch_irradiance(sources, caster, centroid, position, normal, a, b, occluded=True):
-    """(K, C) mean direct irradiance [W/m^2] of K patches, from their centroids (K, 3) and places (K, n, 3) on them; and
-    (K,) bool, patches so near a source, or so curved, that their places do not all get the same.
+    """(K, C) mean direct irradiance [W/m^2] of K patches, from their centroids (K, 3) and places (K, n, 3) on them;
+    (K,) bool, patches so near a source, or so curved, that their places do not all get the same; and of the brightest
+    source that lights each in part, as the test rays tell: its number (K,) int16, -1 for none, the mean irradiance (K,)
+    per unit of its strength, and the irradiance (K,) [W/m^2] that it would give with nothing in between.
 
     From each place one test ray goes to the place a, b (K, n) of every source. normal: (K, 1 or n, 3) at the places; the
     centroids take the first one. A source gives Lambert's
@@ -269,6 +271,7 @@ def patch_irradiance(sources, caster, centroid, position, normal, a, b, occluded
     curved = (normal != normal[:, :1]).any(axis=(1, 2))
     spread = length(position - centroid[:, None]).max(axis=1)
     uneven = np.zeros(count, bool)
+    partly, mean, whole = np.full(count, -1, np.int16), np.zeros(count), np.zeros(count)
     for s in range(len(sources)):
         factor = unoccluded(sources, s, centroid, normal[:, 0])
         differs = (
@@ -291,7 +294,10 @@ def patch_irradiance(sources, caster, centroid, position, normal, a, b, occluded
         share = ratio(*(np.einsum("kn->k", x.reshape(-1, places)) for x in (seen, weight)))
         caster.note("occlusion", tested)
         total[lit] += (factor[lit] * share)[:, None] * sources.strength[s]
-    return total, uneven
+        most = factor[lit] * sources.strength[s].max()
+        cut = (share > 0) & (share < 1) & (most > whole[lit])
+        partly[lit[cut]], mean[lit[cut]], whole[lit[cut]] = s, (factor[lit] * share)[cut], most[cut]
+    return total, uneven, (partly, mean, whole)
 
 
 def test_rays(sources, s, caster, position, normal, geometric, start, a, b):

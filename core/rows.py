@@ -166,16 +166,29 @@ def _passing(kernel, side, receiver, behind, first, rays, seed):
 
 def light_patches(kernel, sides, samples, seed):
     """{"direct": (C, K)} mean irradiance [W/m^2] that the sources give patch sides (K,), from `samples` places each, and
-    UNEVEN times as many where they do not all get the same for a source that is near."""
+    UNEVEN times as many where they do not all get the same for a source that is near; and which of them a source lights
+    in part: "partly" (E,), with the other fields "source", "mean" and "whole" of the Edges."""
     direct = np.empty((kernel.sources.strength.shape[1], len(sides)))
-    uneven = np.zeros(len(sides), bool)
+    uneven, number = np.zeros(len(sides), bool), np.arange(len(sides))
+    edges = np.empty(len(sides), np.int16), np.empty(len(sides)), np.empty(len(sides))
+
+    def light(chosen, samples):
+        found, uneven[chosen], edge = _light(kernel, sides[chosen], samples, seed)
+        direct[:, chosen] = found.T
+        for values, new in zip(edges, edge):
+            values[chosen] = new
+
     for part in blocks(len(sides), samples):
-        light, uneven[part] = _light(kernel, sides[part], samples, seed)
-        direct[:, part] = light.T
+        light(number[part], samples)
     again = np.flatnonzero(uneven)
     for part in blocks(len(again), UNEVEN * samples):
-        direct[:, again[part]] = _light(kernel, sides[again[part]], UNEVEN * samples, seed)[0].T
-    return {"direct": direct}
+        light(again[part], UNEVEN * samples)
+    there = np.flatnonzero(edges[0] >= 0)
+    return {
+        "direct": direct,
+        "partly": sides[there],
+        **dict(zip(("source", "mean", "whole"), (e[there] for e in edges))),
+    }
 
 
 def _light(kernel, sides, samples, seed):

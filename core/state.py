@@ -16,6 +16,7 @@ from math import inf
 
 import numpy as np
 
+from .anew import Edges
 from .control import Traced
 from .effects import Effect, Survey
 from .gather import Gathered
@@ -30,7 +31,7 @@ from .replicates import Replicate
 from .saving import written_whole
 from .settings import Settings
 
-FORMAT = 4  # of the file; higher when samples of the same seed become others
+FORMAT = 5  # of the file; higher when samples of the same seed become others
 ANEW = "name another state file to bake it anew"
 DAMAGED = f"it is not a state file, or is damaged: {ANEW}"
 
@@ -285,6 +286,8 @@ def _packed(state):
     if state.solution is not None:
         solution, rows = state.solution, state.solution.rows
         arrays.update({f"solution.{name}": getattr(solution, name) for name in ("reflected", "irradiance", "direct")})
+        if solution.edges is not None:
+            arrays.update(to_arrays("edges", solution.edges))
         if solution.guide is not None:
             arrays.update(to_arrays("guide", solution.guide), **{"solution.guided": solution.guided})
         kept = ("sides", "hits") if isinstance(rows, RayRows) else ("sides", "start", "target", "share")
@@ -335,6 +338,8 @@ def _unpacked(arrays, told):
     if "solution" in told:
         rows = _rows(arrays, settings, 2 * len(state.patches))
         light = {name: arrays[f"solution.{name}"] for name in ("reflected", "irradiance", "direct")}
+        if "edges.sides" in arrays:
+            light.update(edges=from_arrays(Edges, "edges", arrays))
         if "guide.sides" in arrays:
             light.update(guide=from_arrays(Guide, "guide", arrays), guided=arrays["solution.guided"])
         rounds = tuple(Round(**r) for r in told["rounds"])

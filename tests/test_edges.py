@@ -1,0 +1,96 @@
+"""Edges of bright light: near them rays read what is there, not the mean of a side that a source lights in part."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cell_radiosity.core import anew
+from cell_radiosity.core.anew import edge_arrays
+from cell_radiosity.core.bake import bake, run
+from cell_radiosity.core.cells import LocalCells, make_cells
+from cell_radiosity.core.polygons import polygon_factor
+from cell_radiosity.core.settings import Settings
+from cell_radiosity.core.state import load_state, save_state
+
+from scenes import Lamp, Material, join_meshes, sheet
+
+RHO, SUN = 0.5, 3.0
+MATERIALS = (Material("floor", (RHO,) * 3), Material("black", (0.0,) * 3))
+EDGE = -0.3  # where the shadow begins
+
+
+def half_lit(count=1, angle=0.0):
+    """A floor of count times count patches, half of it in the shadow of a screen, and a wall at its end, both black
+    but for the floor; only the wall's light is asked for."""
+    floor = sheet("floor", [(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], count, count)
+    screen = sheet("screen", [(EDGE, -1, 3), (2, -1, 3), (2, 1, 3), (EDGE, 1, 3)], material=1)
+    wall = sheet("wall", [(-1, -1, 0), (-1, 1, 0), (-1, 1, 1), (-1, -1, 1)], 8, 8, material=1)
+    scene = join_meshes([floor, screen, wall], MATERIALS, [Lamp("sun", (SUN,) * 3, angle=angle)])
+    return replace(scene, written=np.array([False, False, True]))
+
+
+def settings(**others):
+    return Settings(**{"error": 0.01, "patch_edge": None, "gather_rays": 512, "patch_samples": 64, **others})
+
+
+def error_at_wall(baked):
+    """Of the light at the wall's points that lie in no corner, beside Lambert's formula for the part that is lit."""
+    points, light = baked.points, baked.light.total[0]
+    wall = np.flatnonzero(points.position[:, 2] > 0.05)
+    lit = np.array([(-1, -1, 0), (EDGE, -1, 0), (EDGE, 1, 0), (-1, 1, 0)], float)
+    exact = RHO * SUN * polygon_factor(points.position[wall], points.normal[wall], lit)
+    return np.sqrt(((light[wall] - exact) ** 2).sum() / (exact**2).sum())
+
+
+def test_beside_an_edge_the_light_is_what_the_closed_form_says(monkeypatch):
+    """One patch is all of the floor; its mean would give the wall far too little."""
+    baked = run(bake(half_lit(), settings(), LocalCells()))
+    assert list(baked.solution.edges.sides) == [0]
+    assert baked.solution.edges.mean[0] == pytest.approx(0.35, abs=0.03)
+    assert error_at_wall(baked) < 0.02
+    monkeypatch.setattr(anew, "NEAR", 0.0)
+    assert error_at_wall(run(bake(half_lit(), settings(), LocalCells()))) > 0.2
+
+
+def test_further_away_the_mean_is_read(monkeypatch):
+    """One ray among many that meets a strip of light says less of it than its mean: only near hits are read anew."""
+
+    def light(near):
+        monkeypatch.setattr(anew, "NEAR", near)
+        return run(bake(half_lit(8), settings(gather_rays=64, patch_samples=16), LocalCells())).light.total
+
+    never, near, always = (light(n) for n in (0.0, 4.0, 1e3))
+    assert (near != never).any()
+    assert (always != near).any()
+    assert np.allclose(near.mean(), always.mean(), rtol=0.02)
+
+
+def test_only_what_counts_is_an_edge():
+    edges = anew.Edges(np.array([1, 4]), np.array([0, 2]), np.array([0.5, 0.2]), np.array([1.0, 6.0]))
+    reflectance = np.full((1, 6), 0.5)
+    assert edge_arrays(edges, reflectance, 1.0)["edges.source"].tolist() == [-1, -1, -1, -1, 2, -1]
+    assert edge_arrays(edges, reflectance, 0.4)["edges.source"].tolist() == [-1, 0, -1, -1, 2, -1]
+    assert not len(edge_arrays(edges, reflectance, 9.0)["edges.mean"])
+    assert not len(edge_arrays(None, reflectance, 1.0)["edges.mean"])
+
+
+def test_bits_and_states_are_the_same(tmp_path):
+    """Edges are part of a state: without them, further rays would read another light."""
+    scene, some = half_lit(6, 0.1), settings(patch_samples=4, gather_rays=16)
+    results = []
+    for count in (1, 2):
+        with make_cells(count) as cells:
+            results.append(run(bake(scene, some, cells)))
+    one, two = results
+    assert len(one.solution.edges.sides)
+    assert np.array_equal(one.light.total, two.light.total)
+
+    save_state(one.state(), tmp_path / "state")
+    more = replace(some, gather_rays=64)
+    on = run(bake(scene, more, LocalCells(), state=load_state(tmp_path / "state")))
+    whole = run(bake(scene, more, LocalCells(), state=one.state()))
+    assert np.array_equal(on.light.total, whole.light.total)
+    assert np.array_equal(on.solution.edges.mean, one.solution.edges.mean)
