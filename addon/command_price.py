@@ -5,12 +5,13 @@ from __future__ import annotations
 import os
 import sys
 from dataclasses import replace
+from itertools import zip_longest
 from math import inf
 
 import numpy as np
 
 from ..core.bake import bake, price, run
-from ..core.compare import off_finer, off_reference
+from ..core.compare import of_all, of_objects, parts_off_finer, parts_off_reference
 from ..core.health import mend
 from ..core.knobs import knob_values, slope, turns
 from ..core.prices import PRICED
@@ -59,7 +60,7 @@ def run_price(arguments):
     options, scene = make_options(arguments), mend(scene)
     check_scene(scene, targets, options)
     settings = options.settings(scene)
-    knobs, falls = [], None
+    knobs, falls, objects = [], None, []
     with cells_for(arguments, arguments.cells) as cells, Bar(quiet=arguments.quiet) as bar:
         _await(cells)
         prices = run(price(scene, settings, cells, arguments.errors), bar.show)
@@ -67,25 +68,28 @@ def run_price(arguments):
         if arguments.measure or reference is not None:
             if not arguments.quiet:
                 _announce(len(rows), 1 + len(turns(settings, SOME_RAYS)) if arguments.plot else 0)
-            rows, off = _measured(scene, options, prices, cells, reference, bar)
+            rows, objects, off = _measured(scene, options, prices, cells, reference, bar)
             if arguments.plot:
                 knobs = _turned(scene, settings, cells, off, bar)
-    say(*lines(rows))
+    say(*lines(rows, objects))
     if arguments.plot:
         falls = slope(_pairs(rows))
         say(*knob_lines(knobs, falls))
-        plot_price(rows, knobs, falls, os.path.abspath(arguments.plot), os.path.basename(source))
+        plot_price(rows, objects, knobs, falls, os.path.abspath(arguments.plot), os.path.basename(source))
     if arguments.report:
-        write_json({"scene": source, "price": rows, "knobs": knobs, "slope": falls}, os.path.abspath(arguments.report))
+        report = {"scene": source, "price": rows, "objects": objects, "knobs": knobs, "slope": falls}
+        write_json(report, os.path.abspath(arguments.report))
 
 
-def lines(rows):
-    """The rows of a price list as lines of text."""
-    yield f"{'error':>8}{'seconds':>10}{'memory':>11}{'measured':>12}{'error':>10}"
-    for r in rows:
+def lines(rows, objects=()):
+    """The rows of a price list as lines of text. objects: {object: error} as measured in each, with the worst told."""
+    told = f"{'error':>8}{'seconds':>10}{'memory':>11}{'measured':>12}{'error':>10}"
+    yield told + ("  least exact object" if any(objects) else "")
+    for r, errors in zip_longest(rows, objects, fillvalue={}):
         took = "" if r["seconds_measured"] is None else f"{r['seconds_measured']:.2f} s"
-        off = _percent(r["error_measured"])
-        yield (f"{100 * r['error']:6.3g} %{r['seconds_predicted']:8.2f} s{r['memory_mb']:8.0f} MB{took:>12}{off:>10}")
+        off, worst = _percent(r["error_measured"]), max(errors, key=errors.get, default=None)
+        told = f"{100 * r['error']:6.3g} %{r['seconds_predicted']:8.2f} s{r['memory_mb']:8.0f} MB{took:>12}{off:>10}"
+        yield told + (f"{_percent(errors[worst]):>10}, {worst}" if errors else "")
 
 
 def knob_lines(knobs, falls):
@@ -128,22 +132,24 @@ def _open_reference(path):
 
 def _measured(scene, options, prices, cells, reference, bar):
     """The rows of a price list with what bakes to each error took, and how far off they are: from the reference, or from
-    the finest of them. Also the function that tells the latter of a Bake."""
+    the finest of them. Also {object: error} of each, and the function that tells the former of a Bake."""
     baked = []
     for p in prices:
         settings = replace(options, error=p.error, time=None).settings(scene)
         baked.append(run(bake(scene, settings, cells), bar.show))
     finest = baked[int(np.argmin([p.error for p in prices]))]
 
-    def off(found):
+    def parts(found):
         if reference is None:
-            return None if found is finest else off_finer(found, finest)
+            return {} if found is finest else parts_off_finer(found, finest)
         try:
-            return off_reference(found, reference)
+            return parts_off_reference(found, reference)
         except (KeyError, ValueError):  # arrays that are not there, or of another size
             raise Refused("the reference does not fit: it is of another scene, or another kind of file") from None
 
-    return [price_row(p, _seconds(found), off(found)) for p, found in zip(prices, baked)], off
+    off = [parts(found) for found in baked]
+    rows = [price_row(p, _seconds(found), of_all(parts)) for p, found, parts in zip(prices, baked, off)]
+    return rows, [of_objects(parts) for parts in off], lambda found: of_all(parts(found))
 
 
 def _await(cells):

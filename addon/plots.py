@@ -96,9 +96,9 @@ def knob_value(knob):
     return {"patches": f"{value:.2g} m", "light samples": f"x {value:g}"}.get(name, f"{value:g}")
 
 
-def plot_price(rows, knobs, falls, path, title):
+def plot_price(rows, objects, knobs, falls, path, title):
     """Error against seconds: foretold and measured, what each knob does alone, the cheapest of all that was baked, and how
-    steeply the error falls. rows, knobs: as the report has them; falls: the power of the seconds, or None."""
+    steeply the error falls. rows, objects, knobs: as the report has them; falls: the power of the seconds, or None."""
     plt = pyplot()
     from matplotlib.patheffects import withStroke
 
@@ -126,6 +126,11 @@ def plot_price(rows, knobs, falls, path, title):
                     dict(fontsize=8, color=color, ha=side, va="center", path_effects=[outline], zorder=5),
                 )
                 axis.annotate(knob_value(k), place, (off, 0), textcoords="offset points", **style)
+    each = [
+        (r["seconds_measured"], error) for r, errors in zip(rows, objects) for error in errors.values() if error > 0
+    ]
+    if each:
+        draw(each, color="0.6", marker="_", ms=8, ls="", zorder=1, label="each object, measured")
     draw(
         foretold,
         color=COLORS["dynamic"],

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import atexit
+import os
 import shutil
 import subprocess
 import sys
@@ -14,6 +16,24 @@ import pytest
 from cell_radiosity.core.cells import make_cells
 
 import real_blender
+
+EXIT = pytest.StashKey()  # the exit code of the tests
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_sessionfinish(session, exitstatus):
+    """What `pytest_unconfigure` ends with."""
+    session.config.stash[EXIT] = int(exitstatus)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_unconfigure(config):
+    """End as the command does: Blender's module can wait for a thread of its own for ever, after exports above all."""
+    if "bpy" in sys.modules and EXIT in config.stash:
+        atexit._run_exitfuncs()
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(config.stash[EXIT])
 
 
 @pytest.fixture(scope="session")

@@ -269,7 +269,12 @@ def test_prices_are_listed_and_measured(scene, capfd):
     assert all(row["seconds_predicted"] > 0 and row["seconds_measured"] > 0 for row in rows)
     assert rows[0]["error_measured"] < 0.2
     assert rows[1]["error_measured"] is None  # nothing finer is there to measure it against
-    assert len(capfd.readouterr().out.splitlines()) == 3
+    printed = capfd.readouterr().out.splitlines()
+    assert len(printed) == 3
+    objects, finest = json.loads(report.read_text())["objects"]
+    worst = max(objects, key=objects.get)
+    assert printed[1].endswith(f"{100 * objects[worst]:.2f} %, {worst}")
+    assert finest == {}
 
 
 def test_each_knob_is_turned_alone_and_drawn(scene, capfd):

@@ -382,7 +382,7 @@ def test_a_plot_of_bakes_that_are_not_off_at_all(tmp_path):
     row = dict(error=0.1, seconds_predicted=1.0, seconds_measured=1.0, error_measured=0.05)
     knobs = [dict(knob="bounces", value=None, chosen=True, seconds=1.0, error=0.0, patches=1, rays=1),
              dict(knob="bounces", value=1, chosen=False, seconds=0.5, error=0.2, patches=1, rays=1)]  # fmt: skip
-    plot_price([row], knobs, None, str(tmp_path / "p.svg"), "room")
+    plot_price([row], [], knobs, None, str(tmp_path / "p.svg"), "room")
     assert (tmp_path / "p.svg").read_text().rstrip().endswith("</svg>")
 
 

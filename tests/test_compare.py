@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from cell_radiosity.core.cells import LocalCells
-from cell_radiosity.core.compare import off_finer, off_reference
+from cell_radiosity.core.compare import (
+    of_all,
+    of_objects,
+    off_finer,
+    off_reference,
+    parts_off_finer,
+    parts_off_reference,
+)
 from cell_radiosity.core.layers import layer_colors, vertex_means
 
 from scenes import Lamp, Material, Settings, bake, box, join_meshes, run, sheet
@@ -65,3 +72,28 @@ def test_off_a_finer_bake(baked):
     finer = run(bake(baked.scene, Settings(error=0.1, gather_rays=512), LocalCells()))
     assert off_finer(finer, finer) == 0
     assert 0 < off_finer(baked, finer) < 0.1
+
+
+def test_each_object_by_its_own_light(baked):
+    """One object a quarter too bright: it alone is off, by a fifth, and all together by its share of the light."""
+    exact = {**reference(baked, "floor"), **reference(baked, "block")}
+    brighter = {k: 1.25 * v if k in ("floor.EA", "floor.EB") else v for k, v in exact.items()}
+    parts = parts_off_reference(baked, brighter)
+    assert of_objects(parts) == {"floor": pytest.approx(0.2), "block": 0.0}
+    assert of_all(parts) == off_reference(baked, brighter)
+    assert 0 < of_all(parts) < 0.2
+
+
+def test_objects_next_to_black_have_no_figure():
+    """The same area and a millionth of the light: one more, and it has one."""
+    assert of_objects({"lit": (0.01, 1.0, 1.0), "dark": (1.0, 0.4e-6, 1.0)}) == {"lit": pytest.approx(0.1)}
+    assert set(of_objects({"lit": (0.01, 1.0, 1.0), "dark": (1.0, 0.6e-6, 1.0)})) == {"lit", "dark"}
+    assert of_objects({}) == {}
+    assert of_all({}) is None
+
+
+def test_objects_off_a_finer_bake(baked):
+    finer = run(bake(baked.scene, Settings(error=0.1, gather_rays=512), LocalCells()))
+    each = of_objects(parts_off_finer(baked, finer))
+    assert set(each) == {"floor", "block"}  # the wall was not written
+    assert min(each.values()) < off_finer(baked, finer) < max(each.values())
