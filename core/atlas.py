@@ -274,7 +274,7 @@ def _signed_areas(place):
     return (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2
 
 
-def rasterize(place, size, block=1 << 20):
+def rasterize(place, size, block=1 << 16):
     """The texels that triangles (K, 3, 2) touch, however little: a generator of blocks of triangle (N,) int64, column
     and row (N,) int64, and weights (N, 3) of the corners at the place of the triangle nearest to the texel's center, with
     its distance (N,) [texels], 0 inside. size: (K, 2) width and height beyond which no texel is wanted.

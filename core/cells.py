@@ -73,11 +73,12 @@ class Cells:
 
     count: how many work at a time. restarted: how many were replaced. note: why they are not what was asked for, or "".
     in_turn: whether start arrays reach one cell after the other, not all at the same time. flow_each: tasks of a flow that
-    are made ahead for each cell.
+    are made ahead for each cell. points_each: as how many each point counts, more than one where cells are only counted.
     """
 
     in_turn = False
     flow_each = 2 * AHEAD
+    points_each = 1
 
     def __init__(self):
         self.count, self.restarted, self.note = 1, 0, ""

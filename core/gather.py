@@ -21,7 +21,7 @@ from .kernel import blocks
 from .lights import FLAT, test_rays, unlike, unoccluded
 from .points import Block, block_arrays
 from .records import to_arrays
-from .replicates import PARTS, Light, Replicate, block_of_light, light_blocks, light_of_block, mean_light
+from .replicates import PARTS, WHOLE, Light, Replicate, block_of_light, light_blocks, light_of_block, mean_light
 from .sampling import R2, fraction, hemisphere, lattice, scatter, tangents
 from .vectors import counted, ratio
 
@@ -165,8 +165,9 @@ class Gathering:
         replicates, done = self.gathered.replicates, self.rays > 0
         if not done.any():
             return self._start()
-        parts = light_blocks(len(done))
-        if len(parts) == 1:
+        many = len(done) * self.cells.points_each > WHOLE
+        parts = light_blocks(len(done), many)
+        if not many:
             blocks = [mean_light(self.points, self.gathered.links, replicates, self._groups, diagonal)]
         else:
             more = dict(rows=self._shape[0], groups=self._groups, diagonal=float(diagonal))

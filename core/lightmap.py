@@ -18,7 +18,7 @@ from .lights import unoccluded
 from .points import Block, Points, block_arrays
 from .raycast import OFFSET
 from .sampling import hemisphere, lattice, morton_order, tangents
-from .vectors import TINY, counted, cross, dot, length, numbered, unit
+from .vectors import TINY, counted, cross, dot, length, numbered, runs, unit
 
 FEW, MANY = 4, 16  # rays that tell a covered texel: if all of the few meet backs, the many are cast
 WAYS = 8  # directions along the surface in which a covered texel looks for the open
@@ -44,7 +44,7 @@ DILATE = 4  # texels around charts that repeat their neighbors; farther ones are
 class Texels(Points):
     """Points that are texels of an atlas; they write no corners.
 
-    row: (P,) int64, which of the atlas' triangles. weight: (P, 3) of its corners. image, column, line: (P,) int64 the
+    row: (P,) int32, which of the atlas' triangles. weight: (P, 3) of its corners. image, column, line: (P,) int32 the
     texel; line 0 is at the bottom. moved: (P,) bool, lifted out of what covered it. hidden: texels left out because
     something covers them.
     """
@@ -64,22 +64,35 @@ def make_texels(scene, atlas, flipped, cells):
     A texel is asked at its center, or where its center is outside the chart, at the place in the chart nearest to it.
     flipped: (P,) bool, polygons whose back side's light is asked for. cells: started with the scene's arrays.
     """
-    row, image, column, line, weight = _texels(atlas)
-    position, normal, geometric, area, edge = _places(scene, atlas, flipped, row, weight)
-    position, moved, open_ = _settle(scene, position, geometric, edge, flipped, cells)
-    order = np.flatnonzero(open_)
-    order = order[morton_order(position[order])]
-    own = [x[order] for x in (image, line, column)]
-    chart = atlas.chart[row[order]]
-    start, neighbor = _grid_neighbors(atlas, *own, chart)
+    found = _texels(atlas)
+    count = len(found["row"])
+    found.update({name: np.empty((count, 3)) for name in ("position", "normal", "geometric")})
+    found.update(area=np.empty(count), moved=np.empty(count, bool))
+    free = np.empty(count, bool)
+    parts = [slice(k, min(k + TASK_TEXELS, count)) for k in range(0, count, TASK_TEXELS)]
+
+    def places():
+        """What is asked of each block of texels, of which only a few are under way at a time."""
+        for part in parts:
+            *place, edge = _places(scene, atlas, flipped, found["row"][part], found["weight"][part])
+            for name, values in zip(("position", "normal", "geometric", "area"), place):
+                found[name][part] = values
+            yield dict(position=place[0], normal=place[2], edge=edge)
+
+    cells.start({"settle.flipped": flipped[scene.triangle_polygon]})
+    for part, settled in zip(parts, cells.flow("settle", places())):
+        found["position"][part], found["moved"][part], free[part] = (settled[k] for k in ("position", "moved", "open"))
+    order = np.flatnonzero(free)
+    order = order[morton_order(found["position"][order])]
+    for name in found:  # one by one: of each only one is there twice
+        found[name] = found[name][order]
+    del order
+    object = scene.polygon_object[scene.triangle_polygon[atlas.triangle]].astype(np.int32)[found["row"]]
+    start, neighbor = _grid_neighbors(atlas, found["image"], found["line"], found["column"], atlas.chart[found["row"]])
     none = np.zeros(0, np.int32)
     return Texels(
-        position=position[order], normal=normal[order], geometric=geometric[order], area=area[order],
-        object=scene.polygon_object[scene.triangle_polygon[atlas.triangle[row[order]]]].astype(np.int32),
-        neighbor_start=start, neighbor=neighbor, corner=none, corner_point=none, thin=np.zeros(len(order), bool),
-        smooth=np.ones(len(order), bool),
-        row=row[order], weight=weight[order], image=own[0], column=own[2], line=own[1], moved=moved[order],
-        hidden=int(len(open_) - len(order)),
+        object=object, neighbor_start=start, neighbor=neighbor, corner=none, corner_point=none,
+        thin=np.zeros(len(object), bool), smooth=np.ones(len(object), bool), hidden=count - len(object), **found,
     )  # fmt: skip
 
 
@@ -111,7 +124,8 @@ def _places(scene, atlas, flipped, row, weight):
 
 
 def _texels(atlas):
-    """The texels that triangles touch: row of the atlas, image, column, line (N,), and weights (N, 3) of the corners.
+    """The texels that triangles touch: {"row" of the atlas, "image", "column", "line": (N,) int32, "weight": (N, 3) of the
+    corners}.
 
     Of the triangles that touch a texel the one whose inside is nearest to its center has it.
     """
@@ -121,12 +135,18 @@ def _texels(atlas):
         key = (atlas.image[row] * height + line) * width + column
         parts.append(_first(key, distance, row, weight))
     if not parts:
-        none = np.zeros(0, np.int64)
-        return none, none, none, none, np.zeros((0, 3))
-    key, distance, row, weight = _first(*(np.concatenate(part) for part in zip(*parts)))
-    image, texel = np.divmod(key, height * width)
-    line, column = np.divmod(texel, width)
-    return row, image, column, line, weight
+        none = np.zeros(0, np.int32)
+        return dict(row=none, image=none, column=none, line=none, weight=np.zeros((0, 3)))
+    columns = [list(column) for column in zip(*parts)]
+    del parts
+    for k in range(len(columns)):  # one by one: of each only one is there twice
+        columns[k] = np.concatenate(columns[k])
+    key, _, row, weight = _first(*columns)
+    del columns
+    image, key = np.divmod(key, height * width)
+    line, column = np.divmod(key, width)
+    small = dict(row=row, image=image, column=column, line=line)
+    return {**{name: array.astype(np.int32) for name, array in small.items()}, "weight": weight}
 
 
 def _first(key, distance, row, weight):
@@ -146,18 +166,20 @@ def _grid_neighbors(atlas, image, line, column, chart):
     """Where each texel's neighbors start (P + 1,), and the neighbors (E,): texels beside, above and below, of one chart."""
     width, height = atlas.size.max(axis=0) + 2
     count = len(image)
-    key = (image * height + line + 1) * width + column + 1
-    order = np.argsort(key, kind="stable")
-    here, there = [], []
-    for step in (1, width):
-        place = np.minimum(np.searchsorted(key[order], key + step), max(count - 1, 0))
-        other = order[place] if count else place
-        met = (key[other] == key + step) & (chart[other] == chart)
-        here += [np.flatnonzero(met), other[met]]
-        there += [other[met], np.flatnonzero(met)]
-    pair = np.unique(np.concatenate(here) * max(count, 1) + np.concatenate(there))
-    here, there = np.divmod(pair, max(count, 1))
-    return np.searchsorted(here, np.arange(count + 1)).astype(np.int32), there.astype(np.int32)
+    key = (image.astype(np.int64) * height + line + 1) * width + column + 1
+    order = np.argsort(key, kind="stable").astype(np.int32)
+    key = key[order]
+    beside = np.full((count, 4), count, np.int32)  # count stands for none
+    for k, step in enumerate((1, width)):
+        for part in runs(count):  # in the order of the images, where neighbors are found soon
+            place = np.minimum(np.searchsorted(key, key[part] + step), count - 1)
+            here, there = order[part], order[place]
+            met = (key[place] == key[part] + step) & (chart[there] == chart[here])
+            beside[here[met], 2 * k], beside[there[met], 2 * k + 1] = there[met], here[met]
+    beside.sort(axis=1)
+    known = beside < count
+    start = np.append(0, np.cumsum(known.sum(axis=1))).astype(np.int32)
+    return start, beside[known]
 
 
 def _settle(scene, position, normal, edge, flipped, cells):
@@ -216,7 +238,7 @@ def _parts(atlas, texels, ids):
     """Places within texels ids (K,), as far as their charts have them: which of the ids (N,), row of the atlas (N,), and weights
     (N, 3) of its corners."""
     width, height = atlas.size.max(axis=0)
-    key = (texels.image[ids] * height + texels.line[ids]) * width + texels.column[ids]
+    key = (texels.image[ids].astype(np.int64) * height + texels.line[ids]) * width + texels.column[ids]
     order = np.argsort(key)
     chart = atlas.chart[texels.row[ids]]
     found = [(np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.int64), np.zeros((0, 3)))]
@@ -384,26 +406,36 @@ def make_images(atlas, texels, values, seams=None):
     What no texel covers is filled; across `seams` the light is matched, by the least change of texels that makes the
     differences vanish.
     """
-    width, height = atlas.size.max(axis=0)
-    full = np.zeros((len(values), len(atlas.names), height, width))
-    known = np.zeros((len(atlas.names), height, width), bool)
-    full[:, texels.image, texels.line, texels.column] = values
-    known[texels.image, texels.line, texels.column] = True
-    for image, (w, h) in enumerate(atlas.size):
-        full[:, image, :h, :w] = _filled(full[:, image, :h, :w], known[image, :h, :w])
+    images, order = [np.zeros((len(values), h, w)) for w, h in atlas.size], np.argsort(texels.image, kind="stable")
+    ends = np.searchsorted(texels.image[order], np.arange(len(images) + 1))
+    for k, image in enumerate(images):
+        own = order[slice(*ends[k : k + 2])]
+        known = np.zeros(image.shape[1:], bool)
+        line, column = texels.line[own], texels.column[own]
+        known[line, column] = True
+        for channel, light in zip(image, values):
+            channel[line, column] = light[own]
+            channel[:] = _filled(channel[None], known)[0]
     if seams is not None and len(seams.left):
-        full = _matched(full.reshape(len(values), -1), seams).reshape(full.shape)
-    return [np.moveaxis(full[:, k, :h, :w], 0, -1) for k, (w, h) in enumerate(atlas.size)]
+        _match(images, seams, *atlas.size.max(axis=0))
+    return [np.moveaxis(image, 0, -1) for image in images]
 
 
 def look_up(atlas, images, row, weight):
     """(K, C) what images show at places of the atlas' triangles, rows (K,) and weights (K, 3), between their texels."""
-    width, height = atlas.size.max(axis=0)
-    flat = np.zeros((len(images), height, width, images[0].shape[2]))
-    for k, image in enumerate(images):
-        flat[k, : image.shape[0], : image.shape[1]] = image
     texel, share = _stencils(atlas, row, weight)
-    return np.einsum("kn,knc->kc", share, flat.reshape(-1, flat.shape[-1])[texel])
+    shown = np.empty((*texel.shape, images[0].shape[2]))
+    for own, k, *place in _of_images(texel, *atlas.size.max(axis=0)):
+        shown[own] = images[k][tuple(place)]
+    return np.einsum("kn,knc->kc", share, shown)
+
+
+def _of_images(texel, width, height):
+    """Numbers of texels among all images', (...), image by image: where they are one's, its number, their lines and columns."""
+    image, place = np.divmod(texel, height * width)
+    for k in np.unique(image):
+        own = image == k
+        yield own, k, *np.divmod(place[own], width)
 
 
 def _filled(values, known):
@@ -440,8 +472,9 @@ def _blended(values, weight):
     return np.where(weight > 0, values, coarse.repeat(2, axis=1).repeat(2, axis=2)[:, :h, :w])
 
 
-def _matched(values, seams):
-    """Values (C, N) at all texels, changed as little as may be so that the differences across the seams vanish.
+def _match(images, seams, width, height):
+    """Change images (C, H, W) as little as may be, so that the differences across the seams vanish. width, height: of the
+    largest, by which the seams count their texels.
 
     Minimizes MATCH |D x|^2 + |x - values|^2, D the differences, by conjugate gradients.
     """
@@ -453,21 +486,23 @@ def _matched(values, seams):
         across = np.einsum("sk,sk->s", weight, x[index])
         return x + MATCH * np.bincount(index.reshape(-1), (weight * across[:, None]).reshape(-1), len(texel))
 
-    result = values.copy()
-    for channel in range(len(values)):
-        x = values[channel, texel]
+    places = list(_of_images(texel, width, height))
+    for channel in range(len(images[0])):
+        x = np.empty(len(texel))
+        for own, k, *place in places:
+            x[own] = images[k][(channel, *place)]
         start = x.copy()
         residual = start - normal_matrix(x)
-        way, size = residual.copy(), dot(residual, residual)
-        goal = ENOUGH**2 * max(dot(start, start), TINY)
+        way, size = residual.copy(), (residual * residual).sum()
+        goal = ENOUGH**2 * max((start * start).sum(), TINY)
         for _ in range(ROUNDS):
             if size <= goal:
                 break
             image = normal_matrix(way)
-            step = size / dot(way, image)
+            step = size / (way * image).sum()
             x = x + step * way
             residual = residual - step * image
-            before, size = size, dot(residual, residual)
+            before, size = size, (residual * residual).sum()
             way = residual + size / before * way
-        result[channel, texel] = np.maximum(x, 0.0)
-    return result
+        for own, k, *place in places:
+            images[k][(channel, *place)] = np.maximum(x[own], 0.0)

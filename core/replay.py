@@ -190,6 +190,11 @@ class ReplayCells(Cells):
         self._host_worked()
         self._each = self._copies
 
+    @property
+    def points_each(self):
+        """Of the copies, once they are there."""
+        return self._each
+
     def open_books(self):
         """Count work and losses from now on."""
         self._host_worked()

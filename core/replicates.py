@@ -88,9 +88,9 @@ class Near:
         return len(self.position)
 
 
-def light_blocks(count):
-    """Slices that cut P points into the blocks whose light is found in one go."""
-    size = count if count <= WHOLE else BLOCK
+def light_blocks(count, many):
+    """Slices that cut P points into the blocks whose light is found in one go; one if they are not `many`."""
+    size = BLOCK if many else count
     return [slice(k, min(k + size, count)) for k in range(0, count, max(size, 1))]
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from cell_radiosity.core import filter as module
+from cell_radiosity.core.cells import LocalCells
 from cell_radiosity.core.filter import NEARBY, STEPS, Filter
 from cell_radiosity.core.gather import Gathered, Gathering
 from cell_radiosity.core.points import Points
@@ -134,6 +135,6 @@ def test_what_the_filter_does_to_the_light_itself_is_seen_beside_noise(rays):
     ]
     nothing = Light(zero, zero, zero, plain, ~whole)
     gathered = Gathered(replicates, plain + 1, np.ones(len(neighbor), bool))
-    light = Gathering(points, 1, lambda: nothing, None, Settings(), gathered=gathered).light(0.1)
+    light = Gathering(points, 1, lambda: nothing, LocalCells(), Settings(), gathered=gathered).light(0.1)
     error, noise, blurred = ((light.total - truth) ** 2).mean(), light.variance.mean(), light.blurred.mean()
     assert 0.75 * error < noise + max(blurred, 0.0) < 1.35 * error

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,10 @@ import pytest
 from cell_radiosity.core.atlas import NoUnwrapper, make_atlas, rasterize, read_atlas
 from cell_radiosity.core.bake import restored
 from cell_radiosity.core.cells import make_cells
+from cell_radiosity.core.kernel import scene_arrays
 from cell_radiosity.core.lightmap import Texels, average_cut, find_seams, look_up, make_images, make_texels
+from cell_radiosity.core.lights import make_sources
+from cell_radiosity.core.patches import make_patches
 from cell_radiosity.core.polygons import clip_polygons
 from cell_radiosity.core.raycast import RayCaster
 from cell_radiosity.core.records import from_arrays, to_arrays
@@ -365,3 +369,49 @@ def test_means_over_texels_have_the_same_bits_with_other_cells_and_from_a_state(
     for each in (other, again, back):
         assert np.array_equal(each.light.direct, baked.light.direct)
     assert back.rays == 0
+
+
+def test_memory_of_texels_and_images_grows_with_their_number_alone(cells):
+    """A long image beside small ones takes what it has, not what a square of its sides would; of nine times as many texels
+    each takes no more."""
+
+    def measure(density):
+        scene = join_meshes(
+            [box("room", high=(4, 3, 2), n=2), box("shelf", (0.5, 0.5, 0.5), (0.6, 2.5, 0.6), 1, False)], lamps=[LAMP]
+        )
+        atlas = make_atlas(scene, density=density)
+        cells.start(scene_arrays(scene, *made))
+        tracemalloc.start()
+        try:
+            texels = make_texels(scene, atlas, np.zeros(len(scene.polygon_material), bool), cells)
+            first = tracemalloc.get_traced_memory()[1] / len(texels)
+            tracemalloc.reset_peak()
+            before = tracemalloc.get_traced_memory()[0]
+            images = make_images(atlas, texels, np.ones((3, len(texels))))
+            pixels = atlas.size.prod(axis=1).sum()
+            return first, (tracemalloc.get_traced_memory()[1] - before) / pixels, images
+        finally:
+            tracemalloc.stop()
+
+    made = (
+        make_patches(join_meshes([box("room", n=1)]), 0.5),
+        make_sources(join_meshes([box("room", n=1)], lamps=[LAMP]))[0],
+    )
+    (few, few_pixels, _), (many, many_pixels, images) = measure(20.0), measure(60.0)
+    assert many < 1.1 * few
+    assert many < 700
+    assert many_pixels < 1.1 * few_pixels
+    assert many_pixels < 140
+    assert all((image == 1.0).all() for image in images)
+
+
+def test_neighbors_of_texels_are_those_beside_above_and_below_in_their_chart(cells):
+    scene = join_meshes([box("room", high=(2, 1, 1), n=2), round_ball((1, 0.5, 0.5), 0.2, 1)], lamps=[LAMP])
+    atlas = make_atlas(scene, density=12.0)
+    texels = bake_map(scene, atlas, cells, error=0.5).points
+    place = [tuple(x) for x in np.stack([texels.image, atlas.chart[texels.row], texels.line, texels.column], axis=1)]
+    number = {key: k for k, key in enumerate(place)}
+    for k, (image, chart, line, column) in enumerate(place):
+        around = [(image, chart, line + i, column + j) for i, j in ((0, 1), (0, -1), (1, 0), (-1, 0))]
+        expected = sorted(number[key] for key in around if key in number)
+        assert texels.neighbor[slice(*texels.neighbor_start[k : k + 2])].tolist() == expected

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cell_radiosity.core import gather
 from cell_radiosity.core import replicates as module
 from cell_radiosity.core.bake import bake, run
 from cell_radiosity.core.cells import LocalCells, make_cells
@@ -34,9 +35,9 @@ def whole():
 def test_blocks_of_light_are_what_the_whole_is(whole, size, monkeypatch):
     """A block too small by one ring of neighbors, or one that does not know how many neighbors the last of them have, would
     show at its rim. The same bits by cells and by the host."""
-    monkeypatch.setattr(module, "WHOLE", size)
+    monkeypatch.setattr(gather, "WHOLE", size)
     monkeypatch.setattr(module, "BLOCK", size)
-    assert len(module.light_blocks(len(whole.points))) > 2
+    assert len(module.light_blocks(len(whole.points), True)) > 2
     found = []
     for cells in (LocalCells(), make_cells(2)):
         with cells:
