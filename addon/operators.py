@@ -290,7 +290,7 @@ class RADIOSITY_OT_bake(_Work, bpy.types.Operator):
             text += ", " + tr("error {} %", f"{100 * result.error:.2g}")
         count = len(result.health)
         if count:
-            self.report({"WARNING"}, text + ". " + tr("{} findings: see Health in the panel", count))
+            self.report({"WARNING"}, text + ". " + tr("Findings: {}, see Health in the panel", count))
         else:
             self.report({"INFO"}, text)
         return "FINISHED"

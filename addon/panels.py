@@ -90,15 +90,18 @@ def _draw_preflight(layout, context, settings):
     """What will be baked, and what needs a word first; returns whether a bake can start."""
     look = preflight(context, settings.options(context))
     row = layout.row()
-    row.label(text=tr("{} objects, {} face corners", look.objects, look.corners), icon="MESH_DATA")
+    row.label(text=tr("Objects: {}, face corners: {}", look.objects, look.corners), icon="MESH_DATA")
     if look.problem:
         _paragraph(layout, tr_message(look.problem), "ERROR")
+    elif context.mode != "OBJECT":
+        _paragraph(layout, tr("Go to Object Mode first: colors are written there"), "INFO")
     elif look.copies.count:
-        text = tr("{} shared meshes are copied: {} MB", look.copies.count, f"{look.copies.bytes / 1e6:.1f}")
+        megabytes = max(look.copies.bytes / 1e6, 0.1)
+        text = tr("Copies of shared meshes: {}, {} MB", look.copies.count, f"{megabytes:.1f}")
         layout.label(text=text, icon="DUPLICATE")
     if look.findings:
         header, body = layout.panel("radiosity_preflight", default_closed=True)
-        header.label(text=tr("Before the bake: {} notes", len(look.findings)), icon="INFO")
+        header.label(text=tr("Notes before the bake: {}", len(look.findings)), icon="INFO")
         if body:
             _list(body, [(f.object, f.finding, f.action) for f in look.findings])
     return not look.problem
@@ -275,7 +278,7 @@ class RADIOSITY_PT_advanced(_Panel, bpy.types.Panel):
             row = layout.row()
             row.enabled = name != "patch" or not settings.whole
             row.prop(settings, name)
-        layout.label(text=tr("{} cells: see the extension's preferences", preference("cells") or default_cells()))
+        layout.label(text=tr("Cells: {}, see the extension's preferences", preference("cells") or default_cells()))
 
 
 def _of_target(settings):

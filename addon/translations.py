@@ -1,8 +1,8 @@
 """The words of the user interface in other languages, through Blender's own translation system.
 
 Names and tooltips of properties, operators and panels are looked up by Blender itself. Sentences with values in them are
-looked up by `tr`, with {} in place of each value; those that come from the core are written with their numbers, which
-`tr_message` takes out to look them up, and puts back.
+looked up by `tr`, with {} in place of each value; those that come from the core are written with their numbers and names in
+quotes, which `tr_message` takes out to look them up, and puts back.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from bpy.app import translations
 from .translations_de import GERMAN
 
 CONTEXT = "Cell Radiosity"  # of words that Blender says otherwise elsewhere
-NUMBER = re.compile(r"\d+(?:[.,]\d+)*")
+VALUE = re.compile(r"(?<!\w)'[^']*'(?!\w)|\d+(?:[.,]\d+)*")
 
 
 def tr(text, *values):
@@ -29,11 +29,11 @@ def _look_up(text):
 
 
 def tr_message(text):
-    """A sentence with numbers in it in the user's language; as it is, if it is not known there."""
-    numbers = NUMBER.findall(text)
-    pattern = NUMBER.sub("{}", text)
+    """A sentence with numbers and quoted names in it in the user's language; as it is, if it is not known there."""
+    values = VALUE.findall(text)
+    pattern = VALUE.sub("{}", text)
     found = _look_up(pattern)
-    return text if found == pattern else found.format(*numbers)
+    return text if found == pattern else found.format(*values)
 
 
 def register():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -18,7 +19,7 @@ from cell_radiosity.addon.preflight import preflight
 from cell_radiosity.addon.read_scene import read_scene
 from cell_radiosity.addon.running import Running
 from cell_radiosity.addon.session import Session
-from cell_radiosity.addon.translations import NUMBER, tr, tr_message
+from cell_radiosity.addon.translations import VALUE, tr, tr_message
 from cell_radiosity.addon.translations_de import GERMAN
 from cell_radiosity.core.bake import Progress, bake, run
 from cell_radiosity.core.cells import LocalCells
@@ -73,10 +74,34 @@ def words():
 
 
 def test_every_word_has_its_german_one():
-    missing = sorted(word for word in words() if NUMBER.sub("{}", word) not in GERMAN and word not in GERMAN)
+    missing = sorted(word for word in words() if VALUE.sub("{}", word) not in GERMAN and word not in GERMAN)
     assert not missing
     for word, german in GERMAN.items():
         assert word.count("{}") == german.count("{}"), word
+
+
+def findings():
+    """What the code says of objects and what is done about it, with {} for what it puts in."""
+    found = set()
+    for path in (*ADDON.glob("*.py"), *ADDON.with_name("core").glob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Call) and getattr(node.func, "id", "") in ("Finding", "say"):
+                for said in node.args[1:]:
+                    if isinstance(said, ast.Constant):
+                        found.add(VALUE.sub("{}", said.value))
+                    elif isinstance(said, ast.JoinedStr):
+                        parts = (v.value if isinstance(v, ast.Constant) else "{}" for v in said.values)
+                        found.add(VALUE.sub("{}", "".join(parts)))
+    return found
+
+
+def test_every_finding_has_its_german_words():
+    known = "\n".join(GERMAN)
+    missing = [
+        said for said in findings() if not re.search("^" + re.escape(said).replace(r"\{\}", ".*") + "$", known, re.M)
+    ]
+    assert len(findings()) > 40
+    assert not sorted(missing)
 
 
 def test_words_are_looked_up_in_the_users_language():
@@ -86,12 +111,15 @@ def test_words_are_looked_up_in_the_users_language():
         pytest.skip("this Blender has no translations")
     try:
         view.language, view.use_translate_interface = "de_DE", True
-        assert tr("{} objects, {} face corners", 3, 12) == "3 Objekte, 12 Flächenecken"
+        assert tr("Objects: {}, face corners: {}", 3, 12) == "Objekte: 3, Flächenecken: 12"
         assert tr_message("3 faces are lit from behind") == "3 Flächen werden von hinten beleuchtet"
+        told = tr_message("its light is written to a copy, 'cube 7_radiosity'")
+        assert told == "sein Licht wird in eine Kopie geschrieben, 'cube 7_radiosity'"
+        assert tr_message("the last slot's material was taken, as Blender does").startswith("das Material")
         assert tr_message("nobody says 3 of this") == "nobody says 3 of this"
     finally:
         view.language = former
-    assert tr("{} objects, {} face corners", 3, 12) == "3 objects, 12 face corners"
+    assert tr("Objects: {}, face corners: {}", 3, 12) == "Objects: 3, face corners: 12"
 
 
 def test_settings_say_what_the_command_line_says_by_default(room):
@@ -369,7 +397,7 @@ def test_preflight_names_what_stands_in_the_way(room):
     assert "'Radiosity' that no bake made" in found["named"]
     assert look().objects == 4
     assert look().copies.count == 1
-    assert any(text.startswith("1 shared meshes are copied: 0.0 MB") for text in drawn().texts)
+    assert any(text == "Copies of shared meshes: 1, 0.1 MB" for text in drawn().texts)
     room.radiosity.shared = "skip"
     assert look().copies.count == 0
     room.radiosity.shared = "copy"
@@ -585,3 +613,19 @@ def test_the_session_keeps_cells_warm_and_ends_them(room):
     assert len(Session.warm_cells(2)._cells) == 2
     bpy.ops.wm.read_homefile(use_empty=True)
     assert Session.cells is None
+
+
+def test_edit_mode_is_said_where_the_button_waits(room):
+    """The mesh in the editor is elsewhere: nothing is said of modifiers that it does not have."""
+    look = lambda: preflight(bpy.context, room.radiosity.options(bpy.context))
+    cube = bpy.data.objects["cube"]
+    corners = look().corners
+    bpy.context.view_layer.objects.active = cube
+    bpy.ops.object.mode_set(mode="EDIT")
+    try:
+        assert [(f.object, f.finding) for f in look().findings] == [("cube", "it is in Edit Mode")]
+        assert look().corners == corners
+        assert "Go to Object Mode first" in " ".join(drawn().texts)
+    finally:
+        bpy.ops.object.mode_set(mode="OBJECT")
+    assert "Go to Object Mode first" not in " ".join(drawn().texts)

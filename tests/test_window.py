@@ -285,18 +285,18 @@ def test_quitting_and_killing_blender_during_a_bake_leave_no_process(blender, fo
 
 def test_the_panels_speak_german(box):
     words = (
-        f"__import__('sys').modules['{EXTENSION}.addon.translations'].tr('{{}} objects, {{}} face corners', 4, 30800)"
+        f"__import__('sys').modules['{EXTENSION}.addon.translations'].tr('Objects: {{}}, face corners: {{}}', 4, 30800)"
     )
     box.ask(
         "bpy.context.preferences.view.language = 'de_DE'; bpy.context.preferences.view.use_translate_interface = True"
     )
     try:
-        assert box.ask(f"answer = {words}") == "4 Objekte, 30800 Flächenecken"
+        assert box.ask(f"answer = {words}") == "Objekte: 4, Flächenecken: 30800"
         time.sleep(1.0)
         german = box.picture()
     finally:
         box.ask("bpy.context.preferences.view.language = 'en_US'")
-    assert box.ask(f"answer = {words}") == "4 objects, 30800 face corners"
+    assert box.ask(f"answer = {words}") == "Objects: 4, face corners: 30800"
     time.sleep(1.0)
     left, top, right, bottom = box.panel
     assert np.any(german[top:bottom, left:right] != box.picture()[top:bottom, left:right])
