@@ -171,7 +171,7 @@ class _Course:
         self._asked, self.settings = settings, eased(settings, self.survey)
         self._coarse = False
         if state:
-            usual, self.settings = self.settings, state.knobs(settings)
+            usual, self.settings = self.settings, state.knobs(self.settings)
             self._coarse = finer(usual, self.settings)
         self.solution = self.points = self.side = self.gathering = self.control = self.estimate = None
         self.openness = self.averaged = None

@@ -11,7 +11,9 @@ EASED = 4.0  # times the length of patches where nothing casts a shadow
 EASED_FROM = 0.01  # the error asked for: below it the longer rows cost more than the patches save
 # Patches are one such part of the scene's focus long, with rows of so many rays, from an error of reflected light on, where
 # sun and sky cast sharp shadows: what such patches miss is up to 20, 4.5 and 2.6 % of reflected light (measured).
-COARSE = ((0.6, 12, 16), (0.1, 18, 16), (0.05, 25, 8))
+# The last is how many more rays a replicate of the pilot gets: where about as many as the pilot's are needed in all, a third
+# replicate, with test rays of its own, takes longer than they do.
+COARSE = ((0.6, 12, 16, 0), (0.1, 18, 16, 0), (0.05, 25, 8, 5))
 CONTROL_POINTS = 320
 EACH_OBJECT = 24  # of them, if every object is to reach the error
 MOST_CONTROL_POINTS = 2000
@@ -38,8 +40,11 @@ def eased(settings, found):
     if settings.per_object:  # in a dim object much may be reflected
         return settings
     enough = settings.error / max(found.indirect, 1e-9)
-    parts, rays = next(((p, n) for least, p, n in COARSE if enough >= least), (None, None))
-    return replace(settings, patch_edge=1 / parts, row_rays=rays) if parts else settings
+    for least, parts, rays, more in COARSE:
+        if enough >= least:
+            pilot = settings.pilot_rays + more * (settings.pilot_rays == usual.pilot_rays)
+            return replace(settings, patch_edge=1 / parts, row_rays=rays, pilot_rays=pilot)
+    return settings
 
 
 def shadowless(found):

@@ -87,6 +87,13 @@ def test_patches_that_were_asked_for_stay():
         assert eased(settings, found) == settings
 
 
+def test_pilots_are_longer_where_a_third_replicate_would_follow_unless_they_were_asked_for():
+    found, usual = survey(court(), Settings.for_error(0.01)), Settings.for_error(0.01)
+    more = [eased(usual, replace(found, indirect=share)).pilot_rays - usual.pilot_rays for share in (0.01, 0.15, 1.0)]
+    assert more == [0, 5, 0]
+    assert eased(replace(usual, pilot_rays=3), replace(found, indirect=0.15)).pilot_rays == 3
+
+
 def test_coarse_patches_do_not_spoil_the_whole():
     """The light of a court on patches that its share allows is that on fine ones, to the error asked for."""
     scene = court(0.5)
