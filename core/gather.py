@@ -29,8 +29,9 @@ TASK_RAYS = 1 << 15  # of one task: some 10 ms
 TABLES = 64  # direction tables, each turned by a step of its own; a point's shift picks one
 APART = (0.41421356237309503, 0.7320508075688772)  # steps from point to point of the test rays' shifts
 GATHER, TEST = 3, 4  # salts of the sample sequences
+POINT_BYTES = 150  # that a point takes in a task, there and back
 BLOCK_BYTES = 6e6  # that a replicate has in a block of light
-WAITING_SHARE = 0.05  # of the memory that may be used, for blocks that wait for cells
+WAITING_SHARE = 0.05  # of the memory that may be used, for tasks that wait for cells
 REPLICATES = 12  # with steps of their own
 SEEDS = 1 << 20  # between the seeds of replicates
 
@@ -115,7 +116,7 @@ class Gathering:
             links=int(not number),
         )
         parts = deque(ids[k : k + size] for k in range(0, len(ids), size))
-        tasks, most = {}, self.cells.flow_each * self.cells.count
+        tasks, most = {}, min(self.cells.flow_each * self.cells.count, self._waiting(POINT_BYTES * size))
         done = int(replicate.asked.sum()) - len(ids)
         try:
             while tasks or parts:
@@ -129,6 +130,10 @@ class Gathering:
         finally:  # if it was broken off, later tasks may have been done before earlier ones
             for task, result in self.cells.brought(tasks).items():
                 self._add(replicate, tasks[task], result)
+
+    def _waiting(self, size):
+        """How many tasks of so many bytes may wait for cells at a time."""
+        return max(int(WAITING_SHARE * self.settings.memory / size), 1)
 
     def _add(self, replicate, ids, result):
         """Add the result of a task at points ids (K,) to a Replicate."""
@@ -174,8 +179,7 @@ class Gathering:
             each = (block_of_light(self.points, self.gathered.links, replicates, part) | more for part in parts)
             blocks = (light_of_block(None, **own) for own in each)
             if in_cells:
-                size = BLOCK_BYTES * len(replicates)
-                blocks = self.cells.flow("smooth", each, max(int(WAITING_SHARE * self.settings.memory / size), 1))
+                blocks = self.cells.flow("smooth", each, self._waiting(BLOCK_BYTES * len(replicates)))
         direct, indirect = np.empty(self._shape), np.empty(self._shape)
         variance, blurred = np.empty((self._shape[0] // self._groups, len(done))), np.empty(len(done))
         light = Light(direct, indirect, variance, blurred, done)

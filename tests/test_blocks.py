@@ -68,3 +68,18 @@ def test_what_cells_hold_does_not_grow_with_the_points():
         assert many.each[name] <= 1.2 * few.each[name]
     grown = {name for name, size in many.held.items() if size > 1.01 * few.held[name]}
     assert {name.split(".")[0] for name in grown} == {"scene", "patches"}  # the mesh itself
+
+
+def test_no_more_tasks_wait_than_memory_allows():
+    """A hundredth of the memory, and half as many tasks at a time: the same bits."""
+    found = []
+    for memory in (2e9, 4e7):
+        cells = Watched()
+        settings = Settings.for_error(0.05, gather_rays=32, patch_edge=0.2, memory=memory)
+        found.append((cells, run(bake(room(64), settings, cells))))
+    (plenty, one), (little, other) = found
+    assert plenty.most["gather"] == LocalCells.flow_each
+    assert (
+        little.most["gather"] * little.each["gather"] < 0.05 * 4e7 < plenty.most["gather"] * plenty.each["gather"] * 1.5
+    )
+    assert np.array_equal(one.light.indirect, other.light.indirect)
