@@ -297,7 +297,7 @@ class RADIOSITY_PG_settings(bpy.types.PropertyGroup):
         default="density",
     )
     texels_per_meter: FloatProperty(
-        name="Texels per Meter",
+        name="Texels/Meter",
         description="Texels of a lightmap along a meter of surface",
         default=16.0, min=0.01, soft_min=1.0, soft_max=256.0, precision=1,
     )  # fmt: skip

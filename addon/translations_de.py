@@ -170,7 +170,7 @@ GERMAN = {
     "As large as a number of texels per meter asks for": "So groß, wie eine Zahl von Texeln je Meter es verlangt",
     "By Size": "Nach Größe",
     "All of one size": "Alle gleich groß",
-    "Texels per Meter": "Texel je Meter",
+    "Texels/Meter": "Texel/Meter",
     "Texels of a lightmap along a meter of surface": "Texel einer Lightmap auf einem Meter Oberfläche",
     "Size": "Größe",
     "Width and height of each lightmap, in pixels": "Breite und Höhe jeder Lightmap, in Pixeln",
