@@ -101,9 +101,10 @@ def _look(context, options):
         if taken:
             say(object, f"it has an attribute {taken[0]!r} that no bake made", "rename it, or leave out that layer")
         evaluated = (copy or object).evaluated_get(depsgraph).data
-        if object.mode == "EDIT":  # what it will be is known when that is left
+        # What is being edited, or has stepped aside for a copy that anything may have made, is not looked at as it renders.
+        if object.mode == "EDIT" or (copy is not None and not any(m.show_render for m in object.modifiers)):
             evaluated = mesh
-        if copy is not None or len(evaluated.loops) != len(mesh.loops):
+        if len(evaluated.loops) != len(mesh.loops):
             say(object, "its modifiers change its faces", f"its light is written to a copy, '{object.name}_radiosity'")
         else:
             own.append(object)

@@ -629,3 +629,14 @@ def test_edit_mode_is_said_where_the_button_waits(room):
     finally:
         bpy.ops.object.mode_set(mode="OBJECT")
     assert "Go to Object Mode first" not in " ".join(drawn().texts)
+
+
+def test_copies_of_the_last_bake_are_no_modifiers(room):
+    """Copies that were made to show lightmaps: what is said of their originals is what was said before."""
+    look = lambda: preflight(bpy.context, room.radiosity.options(bpy.context))
+    before = look()
+    room.radiosity.target = "lightmap"
+    bpy.ops.radiosity.bake()
+    assert "cube_radiosity" in bpy.data.objects
+    after = look()
+    assert (after.objects, after.corners, after.findings) == (before.objects, before.corners, before.findings)
