@@ -15,7 +15,7 @@ from .guide import Aim
 from .lights import from_one_test, likely_light, test_rays
 from .sampling import R2, fraction, hemisphere, scatter, tangents
 from .scene import normal_and_area
-from .vectors import by_coordinate, take
+from .vectors import TINY, by_coordinate, take
 
 EDGE = 12  # salt of the samples
 BRIGHT = 1.0  # times what points get in the mean: as much a source must add to what a side reflects, or its edge is no matter
@@ -65,7 +65,9 @@ def read_reflected(kernel, hit, ids, each, seed):
         a, b = (fraction(ids[point] * APART[k] + ray * R2[k] + shift[k]) for k in range(2))
         position, normal, start = _places(kernel, hit, chosen)
         own = hit.side[chosen]
-        change = _from_source(kernel, s, position, normal, start, a, b) - kernel.arrays["edges.mean"][own]
+        change = (
+            _from_source(kernel, kernel.sources, s, position, normal, start, a, b) - kernel.arrays["edges.mean"][own]
+        )
         light[:, chosen] += kernel.arrays["gather.reflectance"][:, own] * (kernel.sources.strength[s][:, None] * change)
     return light
 
@@ -115,30 +117,40 @@ def _places(kernel, hit, chosen):
     return position, normal, kernel.caster.start(position, normal)
 
 
-def _from_source(kernel, s, position, normal, start, a, b):
-    """(K,) irradiance per unit of strength that places (K, 3) get from source s, by one test ray each."""
-    _weight, seen = test_rays(kernel.sources, s, kernel.caster, position, normal, normal, start, a, b)
-    return from_one_test(kernel.sources, s, position, normal, seen, a)
+def _from_source(kernel, sources, s, position, normal, start, a, b):
+    """(K,) irradiance per unit of strength that places (K, 3) get from one of Sources, by one test ray each."""
+    _weight, seen = test_rays(sources, s, kernel.caster, position, normal, normal, start, a, b)
+    return from_one_test(sources, s, position, normal, seen, a)
 
 
 def _one_source(kernel, position, normal, start, pick, a, b):
     """(C, K) direct irradiance at points (K, 3) [W/m^2] from one source each, picked by what it may give, over the
     probability of the pick. pick, a, b: (K,) in [0, 1)."""
-    sources = kernel.sources
+    sources, crowd = kernel.picked
     light = np.zeros((sources.strength.shape[1], len(position)))
-    if not len(sources):
+    if not len(sources) and crowd is None:
         return light
-    likely = np.stack([likely_light(sources, s, position, normal) for s in range(len(sources))])
+    likely, given = [likely_light(sources, s, position, normal) for s in range(len(sources))], None
+    if crowd is not None:  # it counts as one more
+        given = crowd.given(position, normal)
+        likely.append(np.cumsum(given, axis=1, dtype=float)[:, -1] + TINY)
+    likely = np.stack(likely)
     upto = np.cumsum(likely, axis=0)
     picked = (upto <= pick * upto[-1]).sum(axis=0)
     order = np.argsort(picked, kind="stable")
-    ends = np.searchsorted(picked[order], np.arange(len(sources) + 1))
+    ends = np.searchsorted(picked[order], np.arange(len(likely) + 1))
     position, normal, start = take(position, order), take(normal, order), take(start, order)
-    picked, a, b = picked[order], a[order], b[order]
+    picked, pick, a, b = picked[order], pick[order], a[order], b[order]
     over = upto[-1, order] / likely[picked, order]
     for s in np.unique(picked):
         mine = slice(*ends[s : s + 2])
-        factor = _from_source(kernel, s, position[mine], normal[mine], start[mine], a[mine], b[mine])
+        place, up = position[mine], normal[mine]
+        if s == len(sources):
+            left = np.clip(1.0 - (1.0 - pick[mine]) * over[mine], 0.0, 1.0)  # of the sample
+            each = place, up, start[mine], given[order[mine]], left, a[mine], b[mine]
+            light[:, order[mine]] = crowd.one(kernel.caster, *each) * over[mine]
+            continue
+        factor = _from_source(kernel, sources, s, place, up, start[mine], a[mine], b[mine])
         light[:, order[mine]] = sources.strength[s][:, None] * (factor * over[mine])
     return light
 

@@ -26,7 +26,7 @@ from .kernel import cast_arrays, transport_arrays
 from .lights import emitting_polygons, make_sources
 from .occlusion import find_openness
 from .paper import solve_paper
-from .patches import Patches, count_patches, make_patches, patch_of_hit, patch_size
+from .patches import Patches, count_patches, patch_of_hit, patch_size
 from .placing import refill, thin_findings
 from .points import Points, make_points
 from .prices import PRICED, Pilot, price_list
@@ -36,6 +36,7 @@ from .scene import Scene, World
 from .settings import Settings
 from .sky import split_sky
 from .state import State, StateError, scene_prints
+from .steep import make_fine_patches
 from .surfaces import make_surfaces, reflects
 
 ROUGH_RAYS = 32  # of a point, to tell where a mesh must be finer
@@ -229,10 +230,12 @@ class _Course:
         """Patches, and what they do with light."""
         scene, settings, cells, found, known = self.scene, self.settings, self.cells, self.survey, self._known
         edge, growth = patch_size(scene, settings)
-        patches = known.patches if known else make_patches(scene, edge, growth)
         world = scene.world if found.needs("sky") else World()
         sky, _ = split_sky(world)
         sources, sampled = make_sources(scene.but(world=world))
+        patches = (
+            known.patches if known else make_fine_patches(scene, sources if settings.graded else None, edge, growth)
+        )
         if not found.needs("color"):
             sources = sources.one_channel()
         ungrouped = sources

@@ -22,6 +22,7 @@ from .vectors import ratio
 
 CONTROL = 6  # salt of the sample sequences
 APART = 1 << 20  # seeds of control points are so far from those of the gather, in replicates
+CROWD_TESTS = 4  # times as many toward a crowd of sources
 DIRECT_TESTS, FEWEST_TESTS = 64, 8  # test rays to a source that gives all light, and to one that gives next to none
 
 
@@ -147,9 +148,12 @@ def direct_light(kernel, points, factor, tests, fewest, seed):
     fewer to those that give less. factor: (K, S) what they give with nothing in between, per unit of strength."""
     sources, ids = kernel.sources, points.ids
     light = np.zeros((sources.strength.shape[1], len(ids)))
+    position, normal, geometric = points.position, points.normal, points.geometric
+    if kernel.crowd is not None:
+        count = lambda given: np.full(len(given), CROWD_TESTS * tests)
+        light += kernel.crowd.at_points(kernel.caster, ids, position, normal, geometric, count, seed, kernel.occluded)
     if not len(sources):
         return light
-    position, normal, geometric = points.position, points.normal, points.geometric
     start = kernel.caster.start(position, geometric)
     factor = factor.T
     given = np.array([f.sum() * sources.strength[s].max() for s, f in enumerate(factor)])

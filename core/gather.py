@@ -46,6 +46,12 @@ UNSEEN = 32  # gather rays to a test ray toward a source that the first few find
 DIM = 0.02  # a point that gets less than this share of its unoccluded light is tested DIM_TESTS times more
 DIM_TESTS = 16
 
+CROWD_TESTS = (
+    1.0  # test rays toward a crowd of sources for each gather ray, where it may give what points get in the mean
+)
+LEAST_BRIGHT, MOST_BRIGHT = 0.25, 4.0  # times as many where it may give less, and more
+FEWEST = 4  # of them
+
 
 @dataclass(frozen=True)
 class Gathered:
@@ -232,6 +238,8 @@ def gather_points(kernel, rays, tests, seed, links, **points):
     result.update(nearness=np.zeros(len(points), np.float32), closest=np.full(len(points), np.inf, np.float32))
     begun = thread_time()
     result["direct"][:] = _direct(kernel, points, rays, tests, seed)
+    if kernel.crowd is not None:
+        result["direct"] += _crowd(kernel, points, rays, tests, seed)
     kernel.caster.note("sources", begun)
     if links:
         begun = thread_time()
@@ -389,6 +397,18 @@ def _direct(kernel, points, rays, tests, seed):
     arriving = (factor * ratio(seen, weight))[:own]
     kernel.caster.note("occlusion", tested)
     return np.einsum("ks,sc->ck", arriving, sources.strength)
+
+
+def _crowd(kernel, points, rays, tests, seed):
+    """(C, K) light of the crowd at the points of a Block [W/m^2]: the brighter it may be there, the more test rays."""
+    own, level = slice(len(points)), max(float(kernel.arrays["gather.level"]), 1e-300)
+
+    def count(light):
+        bright = np.clip(light / level, LEAST_BRIGHT, MOST_BRIGHT)
+        return np.maximum(CROWD_TESTS * rays * tests * bright, FEWEST).astype(np.int64)
+
+    place = points.ids[own], points.position[own], points.normal[own], points.geometric[own]
+    return kernel.crowd.at_points(kernel.caster, *place, count, seed, kernel.occluded)
 
 
 def _tests(kernel, s, position, share, tests):

@@ -12,8 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from .alpha import Alpha, make_alpha
+from .crowd import any_long, make_crowd, members_of
 from .guide import NOTHING, GuideGeometry
-from .lights import Sources, unoccluded
+from .lights import BALL, Sources, unoccluded
 from .patches import Patches, patch_of_hit
 from .raycast import RayCaster
 from .records import from_arrays, to_arrays
@@ -77,9 +78,31 @@ class Kernel:
     def patches(self):
         return from_arrays(Patches, "patches", self.arrays)
 
-    @cached_property
+    @property
     def sources(self):
-        return from_arrays(Sources, "sources", self.arrays)
+        """The Sources that are tested one by one."""
+        return self._split[0]
+
+    @property
+    def crowd(self):
+        """The Crowd of the others, or None."""
+        return self._split[1]
+
+    @property
+    def picked(self):
+        """All sources as those places need them that pick a single one: Sources, and a Crowd of the others or None."""
+        return self._split[2:]
+
+    @cached_property
+    def _split(self):
+        every, diagonal = from_arrays(Sources, "sources", self.arrays), 1.0 / self.caster.frame[1]
+        chosen, endless = members_of(every, diagonal), every.kind > BALL
+        alone = every.only(~chosen) if chosen.any() else every
+        pieces = (
+            ~endless if chosen.any() or any_long(every) else chosen
+        )  # a few that are not long are as well picked whole
+        whole = every.only(~pieces) if pieces.any() else every
+        return alone, make_crowd(every, chosen, diagonal), whole, make_crowd(every, pieces, diagonal)
 
     @cached_property
     def sky_size(self):
@@ -134,7 +157,7 @@ class Kernel:
         """A kernel with some arrays replaced; what was built from the others is kept."""
         kernel = Kernel({**self.arrays, **arrays})
         built = {
-            "caster": "scene.", "patches": "patches.", "element_corners": "patches.", "sources": "sources.", "guide": "guide.",
+            "caster": "scene.", "patches": "patches.", "element_corners": "patches.", "_split": "sources.", "guide": "guide.",
         }  # fmt: skip
         for name, prefix in built.items():
             if name in self.__dict__ and not any(key.startswith(prefix) for key in arrays):

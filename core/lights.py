@@ -1,4 +1,4 @@
-"""Direct light: lamps and flat emitting faces as sources that are sampled, one by one.
+"""Direct light: lamps and flat emitting faces as sources, and test rays toward one of them at a time.
 
 Owns the record `Sources`, the merging of emitting polygons into flat sources, the exact irradiance of an unobstructed
 source, and the test rays that find how much of it is visible. Lamps never block rays; emitting faces do.
@@ -19,7 +19,8 @@ from .vectors import TINY, by_coordinate, cross, dot, from_coordinates, length, 
 
 # Kinds of source: a flat polygon, a point or spot lamp, a sun, a group of bright directions of the sky.
 FLAT, BALL, SUN, SKY = 0, 1, 2, 3
-MOST_SOURCES = 32  # emitting faces beyond the strongest ones are found by the gather rays instead
+MOST_SOURCES = 32  # that are tested one by one
+MOST_FLATS = 2048  # if there are more emitting faces, all but the strongest are found by the gather rays
 MOST_MERGED = 4096  # emitting polygons beyond this number are not merged into flat sources
 SLANT = 0.05  # least cosine that a flat source is picked with: its middle may be hidden by the horizon, its rim not
 NEAR = 0.08  # a patch is near a source if it reaches further than this share of the distance to it
@@ -75,12 +76,17 @@ class Sources:
 
     def area(self, s):
         """Area of FLAT source s [m^2]."""
-        return self._areas[s]
+        return self.areas[s]
 
     @cached_property
-    def _areas(self):
+    def areas(self):
+        """Areas of all FLAT sources [m^2], a list; 0 of others."""
         edges = ((c[1:-1] - c[:1], c[2:] - c[:1]) for c in map(self.polygon, range(len(self))))
         return [float(length(cross(*e).sum(axis=0)) / 2) for e in edges]
+
+    def reach(self, s):
+        """How far FLAT source s reaches from its center [m]."""
+        return float(length(self.polygon(s) - self.position[s]).max())
 
     def polygon(self, s):
         """(V, 3) corners of FLAT source s."""
@@ -99,7 +105,7 @@ def make_sources(scene):
         for g in split_sky(scene.world)[1]
     ]
     flats = sorted(_emitting_flats(scene), key=lambda flat: (-flat[2], flat[0][0]))
-    for polygons, corners, _ in flats[:MOST_SOURCES]:
+    for polygons, corners, _ in flats if len(flats) <= MOST_FLATS else flats[:MOST_SOURCES]:
         sampled[polygons] = True
         exitance = scene.materials[scene.polygon_material[polygons[0]]].exitance
         flat = _source(FLAT, exitance, corners.mean(axis=0), _normal(corners), two_sided=True, corners=corners)
@@ -342,11 +348,11 @@ def test_rays(sources, s, caster, position, normal, geometric, start, a, b):
         blocked = caster.blocked(start, caster.place(aim), a, reach=SHORT)
     seen = weight.copy()
     seen[cast[blocked]] = 0.0
-    caster.note(_effect(sources.origin[s]), begun)
+    caster.note(effect_of(sources.origin[s]), begun)
     return weight, seen
 
 
-def _effect(origin):
+def effect_of(origin):
     """The effect of light that a source of some origin belongs to."""
     return "lamps" if origin >= 0 else "sky" if origin == -1 else "emission"
 

@@ -81,18 +81,19 @@ def patch_size(scene, settings):
     return settings.patch_edge * scene.focus, settings.patch_edge if settings.graded else 0.0
 
 
-def make_patches(scene, edge=None, growth=0.0):
+def make_patches(scene, edge=None, growth=0.0, finer=None):
     """Cut the scene's usable triangles into Patches with edges of at most about `edge` meters (None: one per polygon), or a
     share `growth` of a polygon's extent, or of its distance from the scene's focus, where that is more: a wide ground around
     a room is not cut as finely as the room.
     """
     triangle, facet = _facets(scene)
-    grid = _lay_grids(scene, triangle, facet, edge, growth)
+    finer = np.ones(len(scene.polygon_material)) if finer is None else finer
+    grid = _lay_grids(scene, triangle, facet, edge, growth, finer)
     cells = grid.columns * grid.rows
     first = np.cumsum(cells) - cells
 
     pieces = [_uncut(scene, triangle, facet, grid), _full_cells(facet, grid), _cut_cells(scene, triangle, facet, grid)]
-    leader = _clusters(scene, triangle, facet, grid, edge)
+    leader = _clusters(scene, triangle, facet, grid, edge, finer)
     cell = np.concatenate([first[leader[p.facet]] + p.cell for p in pieces])
     frame = np.concatenate([p.frame for p in pieces])
     square = np.concatenate([p.square for p in pieces])
@@ -224,7 +225,7 @@ class _Grid:
     frame: np.ndarray
 
 
-def _lay_grids(scene, triangle, facet, edge, growth):
+def _lay_grids(scene, triangle, facet, edge, growth, finer):
     """Grids with cells of at most `edge`, see `make_patches`: over quads along their own edges, over others along the longest edge."""
     leading = _changes(facet)
     count = int(leading.sum())
@@ -234,10 +235,11 @@ def _lay_grids(scene, triangle, facet, edge, growth):
     if edge is None or not count:
         return grid
     size, away = _extents(scene, triangle, leading)
+    edge = edge * finer[scene.triangle_polygon[triangle[leading]]]
     for chosen, part, owner, lay in _kinds(scene, triangle, facet, leading, size > edge):
         corners = scene.vertices[scene.triangles[triangle[part]]]
         at, span = lay(scene, triangle[part], owner, corners, leading[part])
-        cells = _cells_of(span, np.maximum(size, away)[chosen], edge, growth)
+        cells = _cells_of(span, np.maximum(size, away)[chosen], edge[chosen], growth)
         # A sliver thinner than its digits has no frame: what it belongs to stays whole.
         thin = np.bincount(owner, ~(np.abs(_determinant(at)) > THIN)) > 0
         cells[thin] = 1
@@ -418,21 +420,22 @@ def _quads(scene, first):
     return tuple(scene.vertices[scene.corner_vertex[first + k]] for k in range(4))
 
 
-def _clusters(scene, triangle, facet, grid, edge):
+def _clusters(scene, triangle, facet, grid, edge, finer):
     """(F,) the facet whose patch each facet belongs to: its own, or the first one of its cluster."""
     leader = np.arange(len(grid.rows))
     if edge is None or not len(leader):
         return leader
     whole, small, middle = grid.columns * grid.rows == 1, [], []
     for part, low, high in _boxes(scene, triangle, grid.leading):
-        mine = np.flatnonzero(whole[part] & (length(high - low) < SMALL * edge))
+        own = edge * finer[scene.triangle_polygon[triangle[grid.leading][part]]]
+        mine = np.flatnonzero(whole[part] & (length(high - low) < SMALL * own))
         small.append(part.start + mine)
         middle.append((low + high)[mine] / 2)
     small, middle = np.concatenate(small), np.concatenate(middle)
     first = np.flatnonzero(grid.leading)[small]
     polygon = scene.triangle_polygon[triangle[first]]
     normal = scene.triangle_normal_area[0][triangle[first]]
-    place = np.floor((middle - scene.bounds[0]) / (CLUSTER * edge))
+    place = np.floor((middle - scene.bounds[0]) / (CLUSTER * edge * finer[polygon])[:, None])
     alike = [*place.T, *np.round(normal * TURNS).T, scene.polygon_object[polygon], scene.polygon_material[polygon]]
     key = np.zeros(len(small), np.uint64)
     for number, part in enumerate(alike):

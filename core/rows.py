@@ -18,8 +18,9 @@ from .polygons import polygon_factor
 from .sampling import R4, fraction, hemisphere, lattice4, scatter, tangents
 from .vectors import dot, length, ratio
 
-ROW, DIRECT, SHADOW = 1, 2, 5  # salts: the samples of rows and of direct light have nothing in common
+ROW, DIRECT, SHADOW, CROWD = 1, 2, 5, 0  # salts: the samples of rows and of direct light have nothing in common
 UNEVEN = 8  # times as many places on patches near a source
+CROWDED = 4  # times as many, each for one of a crowd of sources
 # Gauss-Legendre nodes and weights on [0, 1].
 GAUSS = {
     1: ((0.5,), (1.0,)),
@@ -183,6 +184,9 @@ def light_patches(kernel, sides, samples, seed):
     again = np.flatnonzero(uneven)
     for part in blocks(len(again), UNEVEN * samples):
         light(again[part], UNEVEN * samples)
+    if kernel.crowd is not None:
+        for part in blocks(len(sides), CROWDED * samples):
+            direct[:, part] += _crowd(kernel, sides[part], CROWDED * samples, seed)
     there = np.flatnonzero(edges[0] >= 0)
     return {
         "direct": direct,
@@ -197,6 +201,15 @@ def _light(kernel, sides, samples, seed):
     position, normal = _places(kernel, sides, *place)
     centroid = kernel.patches.centroid[sides >> 1]
     return patch_irradiance(kernel.sources, kernel.caster, centroid, position, normal, a, b, kernel.occluded)
+
+
+def _crowd(kernel, sides, samples, seed):
+    """(C, K) mean irradiance of patch sides (K,) by a crowd of sources, of which one is picked for each of so many places."""
+    a, b, *place = _shifted(sides, samples, seed, CROWD)
+    position, normal = _places(kernel, sides, *place)
+    center, normal = kernel.patches.centroid[sides >> 1], np.broadcast_to(normal, position.shape)
+    extent = length(position - center[:, None]).max(axis=1)
+    return kernel.crowd.on_patches(kernel.caster, center, extent, position, normal, a, b, kernel.occluded)
 
 
 def _row_rays(kernel, sides, rays, seed):

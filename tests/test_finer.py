@@ -10,6 +10,7 @@ from test_accuracy import furnished
 
 from cell_radiosity.core import bake as core_bake
 from cell_radiosity.core.cells import LocalCells
+from cell_radiosity.core.patches import make_patches
 from cell_radiosity.core.points import make_points
 from cell_radiosity.core.records import to_arrays
 from cell_radiosity.core.state import load_state, save_state
@@ -22,7 +23,8 @@ own_knobs = Settings.for_error.__func__
 
 @pytest.fixture(autouse=True)
 def coarse(monkeypatch):
-    """Patches of a quarter of the scene are the usual ones, for any error: a third as long reach 1 % here."""
+    """Patches of a quarter of the scene are the usual ones, for any error, beside sources too: a third as long reach 1 % here."""
+    monkeypatch.setattr(core_bake, "make_fine_patches", lambda scene, sources, *size: make_patches(scene, *size))
     monkeypatch.setattr(
         Settings,
         "for_error",

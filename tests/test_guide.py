@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cell_radiosity.core import host
+from cell_radiosity.core import host, lights
 from cell_radiosity.core.bake import bake, run
 from cell_radiosity.core.cells import LocalCells, make_cells
 from cell_radiosity.core.gather import SEEDS, gather_points, light_arrays, sides_of
@@ -166,11 +166,12 @@ def test_a_guide_is_to_bright_sides_that_can_be_seen():
 
 @pytest.fixture
 def always(monkeypatch):
-    """Rays are guided wherever there is something bright."""
+    """Rays are guided wherever there is something bright, and most panels are left to them."""
+    monkeypatch.setattr(lights, "MOST_FLATS", lights.MOST_SOURCES)
     monkeypatch.setattr(host, "bright_sides", lambda *a: np.append(a[3], 0)[: len(a[5])] > 3 * a[3].mean())
 
 
-SETTINGS = Settings(error=0.02, row_rays=16, patch_edge=1 / 20, gather_rays=32)
+SETTINGS = Settings(error=0.02, row_rays=16, patch_edge=1 / 20, graded=False, gather_rays=32)
 
 
 def test_the_same_bits_from_any_number_of_cells_and_after_a_state(always, tmp_path):

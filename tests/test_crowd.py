@@ -1,0 +1,213 @@
+"""A crowd of sources: what it gives is the sum of what each would, whichever members are picked, and shadows fall as they
+do when each is tested alone. Patches beside sources are finer."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cell_radiosity.core import crowd as core_crowd
+from cell_radiosity.core.bake import bake, run
+from cell_radiosity.core.cells import LocalCells
+from cell_radiosity.core.crowd import make_crowd, members_of, search_rows
+from cell_radiosity.core.lights import BALL, make_sources, unoccluded
+from cell_radiosity.core.patches import make_patches
+from cell_radiosity.core.raycast import RayCaster
+from cell_radiosity.core.settings import Settings
+from cell_radiosity.core.steep import MOST_MORE, make_fine_patches
+
+from scenes import Lamp, Material, box, join_meshes, sheet
+
+KINDS = {
+    "points": dict(kind="point"),
+    "balls": dict(kind="point", radius=0.05),
+    "spots": dict(kind="spot", angle=1.2, blend=0.3),
+    "soft spots": dict(kind="spot", angle=1.2, blend=0.3, radius=0.03),
+    "squares": dict(kind="area", size=(0.1, 0.1)),
+    "tubes": dict(kind="area", size=(0.5, 0.03)),
+    "disks": dict(kind="area", size=(0.15, 0.1), ellipse=True),
+}
+CLEAR = 0.6  # of the places from the lamps [m], where one pick alone must not be far off
+
+
+def frames(rng, count):
+    """Axes of lamps that are turned at random."""
+    z = rng.normal(size=(count, 3))
+    z /= np.sqrt((z * z).sum(axis=1))[:, None]
+    x = np.cross(z, np.roll(z, 1, axis=1) + (0.1, 0.2, 0.3))
+    x /= np.sqrt((x * x).sum(axis=1))[:, None]
+    return [tuple(map(tuple, f)) for f in zip(x, np.cross(z, x), z)]
+
+
+def colored(rng, count, **kind):
+    """Lamps here and there in a cube of 4 m."""
+    return [
+        Lamp(strength=tuple(rng.uniform(1, 2) * np.array((1.0, 0.8, 0.6))), position=tuple(p), axes=axes, **kind)
+        for p, axes in zip(rng.uniform(0, 4, (count, 3)), frames(rng, count))
+    ]
+
+
+@pytest.fixture(params=KINDS, ids=str)
+def among(request, rng):
+    """A crowd with nothing in between, places among it with normals, and what all its sources give there, (C, K)."""
+    scene = join_meshes([], lamps=colored(rng, 60, **KINDS[request.param]))
+    sources, _ = make_sources(scene)
+    chosen = members_of(sources, 100.0)  # so large a scene that none is tested alone
+    assert chosen.all()
+    crowd = make_crowd(sources, chosen, 7.0)
+    position = rng.uniform(0, 4, (3000, 3))
+    away = np.min([np.sqrt(((position - p) ** 2).sum(axis=1)) for p in sources.position], axis=0)
+    position = position[away > CLEAR]
+    normal = np.array([f[2] for f in frames(rng, len(position))])
+    light = sum(unoccluded(sources, s, position, normal) * sources.strength[s][:, None] for s in range(len(sources)))
+    far = np.array([[0, 0, -90.0], [9, 0, -90], [0, 9, -90]])
+    return crowd, RayCaster(far, np.array([[0, 1, 2]]), np.ones(1, bool)), position, normal, light
+
+
+def off(found, light):
+    return np.sqrt(((found - light) ** 2).sum() / (light**2).sum())
+
+
+def test_picks_add_up_to_what_all_give_unhindered(among):
+    """Nearly without noise, the less the more picks: left out, counted twice or weighed by other chances, it would stay."""
+    crowd, caster, position, normal, light = among
+    ids = np.arange(len(position))
+    few, many = (
+        crowd.at_points(caster, ids, position, normal, normal, lambda given, n=n: np.full(len(given), n), 3)
+        for n in (16, 256)
+    )
+    assert off(few, light) < 0.06
+    assert off(many, light) < 0.012
+    assert abs(many.sum() / light.sum() - 1) < 2e-3
+
+
+def test_few_points_get_what_they_get_among_many(among):
+    crowd, caster, position, normal, _ = among
+
+    def count(given):
+        return np.clip(given * 1e9, 4, 9).astype(int)
+
+    ids = np.arange(len(position))
+    whole = crowd.at_points(caster, ids, position, normal, normal, count, 1)
+    some = ids[5::7]
+    assert np.array_equal(
+        crowd.at_points(caster, some, position[some], normal[some], normal[some], count, 1), whole[:, some]
+    )
+
+
+def test_single_picks_have_the_right_mean(among, rng):
+    """Within the noise, which is that of some picks of a whole crowd, not of one in a hundred that counts a hundredfold."""
+    crowd, caster, position, normal, light = among
+    given, start = crowd.given(position, normal), caster.start(position, normal)
+    draws = [
+        crowd.one(caster, position, normal, start, given, *rng.random((3, len(position)))).sum() for _ in range(64)
+    ]
+    assert abs(np.mean(draws) - light.sum()) < 4 * np.std(draws) / 8
+    assert np.std(draws) < 4 * light.sum() / np.sqrt(len(position))
+
+
+def test_patches_get_their_mean(among, rng):
+    """Small patches get what their centers do; a wide one, with places all over it, gets what those do in the mean."""
+    crowd, caster, position, normal, light = among
+    x = rng.random((2, len(position), 64))
+    place, up = (np.repeat(v[:, None], 64, axis=1) for v in (position, normal))
+    found = crowd.on_patches(caster, position, np.full(len(position), 0.01), place, up, *x)
+    assert off(found, light) < 0.06
+    assert abs(found.sum() / light.sum() - 1) < 3e-3
+
+
+def test_search_finds_what_searching_each_row_finds(rng):
+    for count in (1, 2, 7, 64, 100):
+        upto = np.cumsum(rng.random((20, count)) * (rng.random((20, count)) > 0.3), axis=1)
+        row = np.repeat(np.arange(20), 30)
+        target = rng.random(600) * upto[row, -1] * 0.999
+        found = search_rows(upto, row, target)
+        assert np.array_equal(
+            found, [min(np.searchsorted(upto[r], t, side="right"), count - 1) for r, t in zip(row, target)]
+        )
+
+
+def shop(count=49):
+    """A room with a block in it, lit by small panels below the ceiling and by as many bulbs, a few of them shaded."""
+    side = int(count**0.5)
+    places = [((i + 0.5) / side, (j + 0.5) / side) for i in range(side) for j in range(side)]
+    panels = [
+        sheet(
+            f"panel {k}", [(x, y + 0.02, 0.9), (x + 0.02, y + 0.02, 0.9), (x + 0.02, y, 0.9), (x, y, 0.9)], material=1
+        )
+        for k, (x, y) in enumerate(places)
+    ]
+    lamps = [Lamp("point", (0.004, 0.003, 0.002), (x + 0.06, y + 0.04, 0.8), radius=0.01) for x, y in places]
+    materials = (Material("walls", (0.6, 0.5, 0.4)), Material("panel", (0, 0, 0), (6.0, 7.0, 8.0)))
+    return join_meshes(
+        [box("room", n=8), box("block", (0.3, 0.3, 0), (0.6, 0.7, 0.6), 4, False), *panels], materials, lamps
+    )
+
+
+def test_shadows_fall_as_when_each_source_is_tested_alone(monkeypatch):
+    """At every point, within the noise of both; a crowd takes far fewer rays."""
+    settings = Settings(error=0.01, gather_rays=256, row_rays=64, patch_edge=1 / 20, graded=False)
+    one = run(bake(shop(), settings, LocalCells()))
+    monkeypatch.setattr(core_crowd, "MOST_SOURCES", 1000)
+    each = run(bake(shop(), settings, LocalCells()))
+    assert one.rays < each.rays / 3
+    area, written = one.points.area, one.points.object < 2
+    a, b = (x.light.direct[:, written] for x in (one, each))
+    assert abs((area[written] * a).sum() / (area[written] * b).sum() - 1) < 2e-3
+    assert np.sqrt((area[written] * (a - b) ** 2).sum() / (area[written] * b * b).sum()) < 0.02
+    indirect = [(x.points.area * x.light.indirect).sum(axis=1) for x in (one, each)]
+    np.testing.assert_allclose(*indirect, rtol=0.01)
+
+
+def test_few_sources_are_no_crowd_and_suns_never_are():
+    sun = Lamp("sun", (1.0, 1.0, 1.0), axes=((1, 0, 0), (0, 1, 0), (0, 0, 1)))
+    bulb = Lamp("point", (1.0, 1.0, 1.0))
+    sources, _ = make_sources(join_meshes([], lamps=[bulb] * 32))
+    assert not members_of(sources, 1.0).any()
+    sources, _ = make_sources(join_meshes([], lamps=[bulb] * 33 + [sun]))
+    assert np.array_equal(members_of(sources, 1.0), sources.kind <= BALL)
+    large = Lamp("area", (1.0, 1.0, 1.0), size=(2.0, 2.0))
+    sources, _ = make_sources(join_meshes([], lamps=[bulb] * 33 + [large]))
+    assert np.array_equal(members_of(sources, 10.0), sources.kind == BALL)
+
+
+def tube(gap):
+    """A room whose western wall has a glowing tube before it."""
+    corners = [(gap, 0.2, 0.5), (gap, 0.8, 0.5), (gap, 0.8, 0.51), (gap, 0.2, 0.51)]
+    materials = (Material("walls", (0.6, 0.5, 0.4)), Material("tube", (0, 0, 0), (50.0, 50.0, 50.0)))
+    return join_meshes([box("room", n=10), sheet("tube", corners, material=1)], materials)
+
+
+def test_patches_beside_a_source_are_finer():
+    edge = 0.1
+    scene = tube(0.02)
+    even, fine = make_patches(scene, edge), make_fine_patches(scene, make_sources(scene)[0], edge, 0.0)
+    size = np.bincount(fine.polygon, minlength=601) / np.bincount(even.polygon, minlength=601)
+    beside = np.zeros(601, bool)
+    for p in np.unique(fine.polygon[fine.centroid[:, 0] < 1e-6]):
+        center = fine.centroid[fine.polygon == p].mean(axis=0)
+        beside[p] = abs(center[2] - 0.5) < 0.06 and abs(center[1] - 0.5) < 0.25
+    assert (size[beside] >= 4).all()
+    assert np.median(size) == 1
+    assert len(fine) <= MOST_MORE * len(even)
+    assert np.isclose(fine.area.sum(), even.area.sum())
+    assert len(make_fine_patches(scene, None, edge, 0.0)) == len(even)
+
+
+def test_patches_far_from_sources_are_as_ever():
+    scene = tube(0.5)
+    walls = [
+        p.polygon < 600 for p in (make_patches(scene, 0.1), make_fine_patches(scene, make_sources(scene)[0], 0.1, 0.0))
+    ]
+    assert walls[0].sum() == walls[1].sum()
+
+
+def test_the_strength_of_all_lamps_together_does_not_change_patches():
+    scene = tube(0.02)
+    brighter = replace(
+        scene, materials=tuple(replace(m, exitance=tuple(7 * x for x in m.exitance)) for m in scene.materials)
+    )
+    a, b = (make_fine_patches(s, make_sources(s)[0], 0.1, 0.0) for s in (scene, brighter))
+    assert np.array_equal(a.centroid, b.centroid)
