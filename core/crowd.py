@@ -527,8 +527,8 @@ def _pieces(sources, flat, longest):
         whole = len(corners) == 4 and np.abs(p + a + b - corners[2]).max() <= 1e-9 * np.abs(a + b).max()
         if whole:
             long, wide = max(length(a), length(b)), min(length(a), length(b))
-            m = min(int(np.ceil(wide / longest)), int(np.sqrt(MOST_PIECES)))
-            n = min(int(np.ceil(long / min(longest, LONG * wide / m))), MOST_PIECES // m)
+            m = _cuts(wide, longest, int(np.sqrt(MOST_PIECES)))
+            n = _cuts(long, min(longest, LONG * wide / m), MOST_PIECES // m)
             n, m = (n, m) if length(a) == long else (m, n)
             i, j = (k.reshape(-1, 1) for k in np.indices((n, m)))
             frame = np.stack(np.broadcast_arrays(p + i / n * a + j / m * b, a / n, b / m), axis=1)
@@ -540,12 +540,17 @@ def _pieces(sources, flat, longest):
     return tuple(np.concatenate(x) for x in (owner, frames, square))
 
 
+def _cuts(extent, longest, most):
+    """How many parts of an extent are no longer than `longest`, or `most`; one where there is no telling."""
+    return int(np.clip(np.ceil(ratio(extent, longest)), 1, most))
+
+
 def _cut(p, a, b, longest):
     """(N, 3, 3) frames of the triangles that a triangle is cut into."""
     # Of a fan of slivers, as a disk is cut into, each is long, but there are many of them.
     area = length(np.array([a[i] * b[j] - a[j] * b[i] for i, j in ((1, 2), (2, 0), (0, 1))])) / 2
     edge = min(max(length(a), length(b), length(a - b)), 2 * np.sqrt(2 * area))
-    n = min(max(int(np.ceil(edge / longest)), 1), int(np.sqrt(MOST_PIECES)))
+    n = _cuts(edge, longest, int(np.sqrt(MOST_PIECES)))
     i, j = (k.reshape(-1, 1) for k in np.indices((n, n)))
     up, down = (i + j < n)[:, 0], (i + j < n - 1)[:, 0]
     a, b = a / n, b / n

@@ -18,6 +18,7 @@ _Q = (1.0, 2.485846490142306297962e1, 1.650270098316988542046e2, 4.3288106049129
 
 BLOCK = 2048  # points at a time, so that what is found of them stays in the cache
 HORIZON = 1e-6  # sine of the elevation below which a corner counts as level with the element
+BITS = 1e-12  # the same, in units of how far the farthest corner is
 
 
 def angle(sine, cosine):
@@ -87,8 +88,11 @@ def polygon_factor(points, normals, polygon):
 def _seen(ray, normal):
     """Lambert's signed sum (K,) over what lies above the horizon of polygons given by rays to their corners, 3 times (V, K)."""
     height = _dot(ray, normal)
-    # A corner on the horizon, but for the last bits, is on it: of a polygon in the element's own plane nothing is seen.
-    height[height * height <= HORIZON * HORIZON * _dot(ray, ray)] = 0.0
+    # A corner on the horizon, but for the last bits, is on it: of a polygon in the element's own plane nothing is seen,
+    # also where the element lies on one of its corners.
+    square = _dot(ray, ray)
+    np.maximum(HORIZON * HORIZON * square, BITS * BITS * square.max(axis=0), out=square)
+    height[height * height <= square] = 0.0
     level, lit = height.min(axis=0) >= 0, height.max(axis=0) > 0
     result = np.zeros(height.shape[1])
     above = np.flatnonzero(level & lit)

@@ -27,7 +27,7 @@ def make_fine_patches(scene, sources, edge, growth):
     """The Patches of a scene, see `make_patches`, shorter where light of Sources falls off steeply; None: nowhere."""
     patches = make_patches(scene, edge, growth)
     crowd = make_crowd(sources, sources.kind <= BALL, scene.diagonal) if sources is not None else None
-    if edge is None or crowd is None or len(patches) * len(crowd) > MOST_PAIRS:
+    if edge is None or crowd is None or not 0 < len(patches) * len(crowd) <= MOST_PAIRS or not patches.area.any():
         return patches
     slope = np.zeros(len(patches))
     size = np.sqrt(patches.area)

@@ -132,6 +132,19 @@ def test_element_on_the_floor_near_a_wall(gap, expected):
     assert factor[0] == pytest.approx(expected, abs=1e-11)
 
 
+def test_nothing_is_seen_of_ones_own_plane(rng):
+    """From the middle of a wall's quads to one of them, whose corner comes out a last bit above the wall there."""
+    quad = np.array([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (1.0, 1.0, 0.0), (0.0, 1.0, 0.0)])
+    up = np.array([[0.0, 0.0, 1.0]])
+    for corner in range(4):
+        for bits in (0.0, 1e-17, 1e-16):
+            off = quad.copy()
+            off[corner] += bits * np.array([1.0, -1.0, 1.0])
+            assert polygon_factor(quad[corner : corner + 1], up, off)[0] < 1e-12
+    near = quad + (0, 0, 1e-6)  # just above it there is all of it
+    assert polygon_factor(np.array([(0.5, 0.5, 0.0)]), up, near)[0] > 0.999
+
+
 def test_factor_is_additive_where_the_horizon_cuts(rng):
     """A polygon's factor is the sum of its parts' factors, also for points that see only some of it."""
     corners = rng.normal(size=(500, 2))

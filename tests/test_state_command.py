@@ -91,7 +91,7 @@ KINDS = {
 
 @pytest.mark.parametrize(
     ("kind", "phase", "number"),
-    [("vertex", "transport", 1), ("lightmap", "transport", 1), *((kind, "gather", 3) for kind in KINDS)],
+    [("vertex", "transport", 1), ("lightmap", "transport", 1), *((kind, "gather", 2) for kind in KINDS)],
 )
 def test_ctrl_c_keeps_a_state_that_leads_to_the_same_result(scene, monkeypatch, kind, phase, number):
     options = (*KINDS[kind], "--error", "0.5%")
