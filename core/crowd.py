@@ -37,6 +37,7 @@ ALIKE = 1e-3  # difference of normals that are one
 SPACING = 0.25  # of members of a group, as a share of its reach: none is thought nearer
 BLOCK = 1 << 16  # pairs of a place and a member at a time: they stay in the processor's cache
 AT_ONCE = 1 << 20  # pairs that are kept for the picks
+SMALLEST = np.float32(1e-15)  # square of a distance in units: its own square is still a number
 PICK = 7  # salt of the sample sequences
 
 
@@ -48,7 +49,7 @@ class Crowd:
     reach: (M,) [m]. power: (M,) mean strength of its channels, color: (M, C) in units of that. cone: (M, 2), see Sources.
     Of the flat ones frame: (F, 3, 3) a corner and two edges from there, square: (F,) bool, a parallelogram, else a
     triangle; area: (F,) [m^2]; two_sided: (F,) bool. Of the others radius: (M - F,), soft: (M - F,) bool. effect: that most
-    belong to.
+    belong to. unit: [m] lengths are counted in it where members are compared: float32 holds no squares of squares of any length.
     """
 
     source: np.ndarray
@@ -65,6 +66,7 @@ class Crowd:
     radius: np.ndarray
     soft: np.ndarray
     effect: str
+    unit: float
 
     def __len__(self):
         return len(self.source)
@@ -81,15 +83,24 @@ class Crowd:
         return np.stack([p, p + a, np.where(self.square[:, None], p + a + b, p + b), p + b], axis=1)
 
     @cached_property
+    def _relative(self):
+        """The power of members (M,), in units of the strongest's, and what that is [W/m^2]: of lamps at a distance of one unit."""
+        power = self.power.copy()
+        power[self.flats :] /= self.unit * self.unit
+        top = float(power.max())
+        return ratio(power, top), top
+
+    @cached_property
     def _rough(self):
-        """What `likely` works on, float32: the middle of the crowd, and center, normal (3, M), reach, power, cone."""
-        middle = self.center.mean(axis=0)
-        parts = (self.center - middle).T, self.normal.T, self.reach, self.power, self.cone.T
-        return middle, *(np.ascontiguousarray(x, np.float32) for x in parts)
+        """What `likely` works on, float32 in its units: the middle of the crowd [m], and center, normal (3, M), reach, power,
+        cone; and of the flat ones area, of the others radius."""
+        middle, unit = self.center.mean(axis=0), self.unit
+        parts = (self.center - middle).T / unit, self.normal.T, self.reach / unit, self._relative[0], self.cone.T
+        return middle, *(np.ascontiguousarray(x, np.float32) for x in (*parts, self.area / unit**2, self.radius / unit))
 
     def likely(self, position, normal, extent=None):
-        """(K, M) float32 roughly what each member may give places (K, 3), mean of the channels [W/m^2]; positive unless it can
-        give nothing. extent: (K,) how far what a place stands for reaches around it [m]."""
+        """(K, M) float32 roughly what each member may give places (K, 3), mean of the channels, in units of what the strongest is
+        (see `_relative`); positive unless it can give nothing. extent: (K,) how far what a place stands for reaches around it [m]."""
         result = np.empty((len(position), len(self)), np.float32)
         size = max(BLOCK // max(len(self), 1), 1)
         for k in range(0, len(position), size):
@@ -104,12 +115,12 @@ class Crowd:
         """Places, normals and extents (K, 1) as `_likely` wants them."""
         around = np.zeros((len(position), 1), np.float32)
         if extent is not None:
-            around[:, 0] = extent
-        return (position - self._rough[0]).astype(np.float32), normal.astype(np.float32), around
+            around[:, 0] = extent / self.unit
+        return ((position - self._rough[0]) / self.unit).astype(np.float32), normal.astype(np.float32), around
 
     def _likely(self, x, n, around, flat, members):
         """(K, N) `likely` of members that are all flat, or all not: a slice of N, or (K, N) of each place."""
-        _, center, axis, reach, power, cone = self._rough
+        _, center, axis, reach, power, cone, area, radius = self._rough
         reach, power, cone = reach[members], power[members], cone[:, members]
         directed = flat or (cone[0] > -1).any()
         square = rise = tilt = np.float32(0)
@@ -125,9 +136,9 @@ class Crowd:
         np.maximum(rise, np.float32(PART) * wide, out=rise)
         rise *= above
         np.maximum(square, around * around, out=square)
-        np.maximum(square, np.float32(1e-30), out=square)
+        np.maximum(square, SMALLEST, out=square)
         if flat:
-            area, two_sided = self.area[members].astype(np.float32), self.two_sided[members]
+            area, two_sided = area[members], self.two_sided[members]
             height = np.abs(tilt) if two_sided.all() else np.where(two_sided, np.abs(tilt), tilt)
             rise *= height > -around
             np.maximum(height, np.float32(PART) * around, out=height)
@@ -139,7 +150,7 @@ class Crowd:
             return rise
         distance = np.sqrt(square)
         own = members - self.flats if isinstance(members, np.ndarray) else slice(members.start - self.flats, None)
-        radius = self.radius[own].astype(np.float32)
+        radius = radius[own]
         rise *= power
         rise /= distance * np.where(self.soft[own], square + radius * radius, np.maximum(square, radius * radius))
         if directed:
@@ -155,16 +166,16 @@ class Crowd:
         """(K,) how much what the members give patches with their centers (K, 3) and extents (K,) [m] changes there, about: the sum
         of what each gives over its distance [W/m^3]."""
         slope, size = np.zeros(len(position)), max(BLOCK // len(self), 1)
-        middle, center, _, reach, _, _ = self._rough
+        middle, center, _, reach, *_ = self._rough
         for k in range(0, len(position), size):
             part = slice(k, k + size)
             given = self.likely(position[part], normal[part], extent[part] / 2)
-            x, square = (position[part] - middle).astype(np.float32), reach * reach
+            x, square = ((position[part] - middle) / self.unit).astype(np.float32), reach * reach
             for d in range(3):
                 toward = center[d] - x[:, d, None]
                 square = toward * toward + square
-            slope[part] = np.cumsum(given / np.sqrt(square + np.float32(1e-30)), axis=1, dtype=float)[:, -1]
-        return slope
+            slope[part] = np.cumsum(given / np.sqrt(square + SMALLEST), axis=1, dtype=float)[:, -1]
+        return slope * (self._relative[1] / self.unit)
 
     def exact(self, position, normal, member):
         """(K,) irradiance per unit of strength that flat members (K,) would give places (K, 3) with nothing in between."""
@@ -266,7 +277,7 @@ class Crowd:
             near = self._set_near(likely, place, up)
             upto = np.cumsum(likely, axis=1, dtype=float)
             total = upto[:, -1]
-            number = np.where(total > 0, count(total), 0)
+            number = np.where(total > 0, count(total * self._relative[1]), 0)
             owner, member, x = self._picks(upto, number, ids[part], seed)
             own = (place[owner], up[owner])
             facing = own[1] if geometric is normal else geometric[part][owner]
@@ -277,7 +288,7 @@ class Crowd:
             if len(owner) and close.any():
                 size_ = np.diff(np.append(begin, len(owner)))
                 mean = np.repeat(np.add.reduceat(factor, begin) / size_, size_)
-                exact = likely[owner, member] / self.power[member]
+                exact = ratio(likely[owner, member], self._relative[0][member])
                 factor = np.where(close, ratio(factor, mean) * exact, factor)
             worth = ratio(factor * seen * self.power[member] * total[owner], number[owner] * likely[owner, member])
             for channel, color in zip(light[:, part], self.color.T):
@@ -289,12 +300,12 @@ class Crowd:
     def _set_near(self, likely, position, normal):
         """Set what near members give places to what it is, and tell which they are, (K, M) bool."""
         near = np.zeros(likely.shape, bool)
-        middle, center, _, reach, _, _ = self._rough
+        middle, center, _, reach, *_ = self._rough
         limit = (reach[: self.flats] / np.float32(NEARBY)) ** 2
         limit[self.cone[: self.flats, 0] > 0] = 0.0
         size = max(BLOCK // max(self.flats, 1), 1)
         for k in range(0, len(likely), size):
-            x = (position[k : k + size] - middle).astype(np.float32)
+            x = ((position[k : k + size] - middle) / self.unit).astype(np.float32)
             square = np.zeros((len(x), self.flats), np.float32)
             for d in range(3):
                 toward = center[d, : self.flats] - x[:, d, None]
@@ -302,7 +313,7 @@ class Crowd:
             near[k : k + size, : self.flats] = square < limit
         row, member = np.nonzero(near)
         if len(row):
-            likely[row, member] = self.exact(position[row], normal[row], member) * self.power[member]
+            likely[row, member] = self.exact(position[row], normal[row], member) * self._relative[0][member]
         return near
 
     def _picks(self, upto, count, ids, seed):
@@ -348,9 +359,10 @@ class Crowd:
         for low, high in ((0, self.flats), (self.flats, len(self))):
             first = np.append(first, np.arange(low, high, size))
         last = np.append(first[1:], len(self))
-        reach, away = self.reach[:, None], self.center - self._rough[0]
+        reach, away = self.reach[:, None] / self.unit, (self.center - self._rough[0]) / self.unit
         low, high = np.minimum.reduceat(away - reach, first), np.maximum.reduceat(away + reach, first)
-        strength = np.add.reduceat(self.power * np.append(self.area / np.pi, np.ones(len(self) - self.flats)), first)
+        size = np.append(self.area / (np.pi * self.unit**2), np.ones(len(self) - self.flats))
+        strength = np.add.reduceat(self._relative[0] * size, first)
         ends = np.minimum.reduceat(self.normal, first), np.maximum.reduceat(self.normal, first)
         alike = ((ends[1] - ends[0]).max(axis=1) < ALIKE) & (first < self.flats)
         axis = np.where(alike[:, None], ends[0], 0.0)
@@ -363,7 +375,7 @@ class Crowd:
         distance of both the nearest and the middle of the group, none that is long and near is thought too little of."""
         low, high, middle, reach, strength, axis, both = self._groups[2:]
         result = np.empty((len(position), len(strength)), np.float32)
-        inside = np.maximum((np.float32(SPACING) * reach) ** 2, np.float32(1e-30))
+        inside = np.maximum((np.float32(SPACING) * reach) ** 2, SMALLEST)
         size = max(BLOCK // len(strength), 1)
         for k in range(0, len(position), size):
             x, n, _ = self._place(position[k : k + size], normal[k : k + size])
@@ -376,7 +388,7 @@ class Crowd:
                 square = toward * toward + square
                 toward = np.minimum(np.maximum(own, low[d]), high[d]) - own
                 nearest = toward * toward + nearest
-            np.maximum(square, np.float32(1e-30), out=square)
+            np.maximum(square, SMALLEST, out=square)
             np.maximum(nearest, inside, out=nearest)
             above = rise > -reach
             np.maximum(rise, np.float32(PART) * reach, out=rise)
@@ -514,6 +526,7 @@ def make_crowd(sources, chosen, diagonal):
         radius=sources.radius[ball],
         soft=sources.soft[ball],
         effect=effect_of(int(np.median(sources.origin[source]))),
+        unit=float(diagonal) or 1.0,
     )
 
 
