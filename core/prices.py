@@ -21,6 +21,7 @@ from .settings import Settings
 PRICED = (0.1, 0.05, 0.02, 0.01, 0.005)  # errors of the price list
 AGAIN = 1.25  # times the rays that a pilot's noise calls for: at its next look a bake may find that there is more to do
 ANY_RAYS = 0.9  # of the seconds of a small replicate's test rays: they are spent for whatever number of rays
+STEADY = 0.4  # of the seconds of patches and rows are spent however many there are (measured)
 POINT_MB = 3e-5  # of a point in one more replicate
 
 
@@ -63,7 +64,7 @@ def price_list(pilot, errors=PRICED):
     prices = []
     for error, work in zip(errors, row_work(pilot, errors)):
         more = int(AGAIN * rays_wanted(pilot.estimate, pilot.rays, error))
-        seconds = work * grows + pilot.seconds["survey"] + control_seconds(pilot, error)
+        seconds = (STEADY + (1 - STEADY) * work) * grows + pilot.seconds["survey"] + control_seconds(pilot, error)
         seconds += fixed * (more > 0) + each * more
         memory = pilot.memory_mb * (1 + work) / 2 + POINT_MB * pilot.points * (more > 0)
         prices.append(Price(error, seconds, memory, pilot.rays + more))

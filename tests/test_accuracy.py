@@ -18,7 +18,7 @@ from cell_radiosity.core.accuracy import (
 )
 from cell_radiosity.core.bake import _Course, price
 from cell_radiosity.core.cells import LocalCells
-from cell_radiosity.core.prices import AGAIN, Pilot, price_list, replicate_seconds
+from cell_radiosity.core.prices import AGAIN, STEADY, Pilot, price_list, replicate_seconds
 
 from scenes import Material, Settings, bake, box, join_meshes, run, sheet
 
@@ -115,11 +115,12 @@ def test_a_price_is_made_of_what_grows_and_what_does_not(monkeypatch):
     monkeypatch.setattr(prices, "row_work", lambda pilot, errors: [3.0] * len(errors))
     enough, less = price_list(pilot, (0.05, 0.01))
     assert (enough.error, enough.rays) == (0.05, 16)
-    assert enough.seconds == 3 * 2.0 + 4.0
+    rows = (STEADY + 3 * (1 - STEADY)) * 2.0
+    assert enough.seconds == pytest.approx(rows + 4.0)
     more = less.rays - 16
     assert more == int(AGAIN * rays_wanted(pilot.estimate, 16, 0.01))
     fixed, each = replicate_seconds(pilot)
-    assert less.seconds == pytest.approx(3 * 2.0 + 4.0 + fixed + each * more)
+    assert less.seconds == pytest.approx(rows + 4.0 + fixed + each * more)
     assert less.memory_mb > enough.memory_mb == 200.0
     doubtful = replace(pilot, estimate=replace(pilot.estimate, doubt=0.03**2))
     assert price_list(doubtful, (0.01,))[0].seconds > less.seconds + 0.001 * 64
