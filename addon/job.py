@@ -32,10 +32,10 @@ PATCH_BYTES = 2000  # that a patch takes in host and cells
 
 @dataclass(frozen=True)
 class Options:
-    """What the user asked for. objects: names or globs of the objects to write, () for all. error: relative, and per_object: of every object; time: seconds to take in its place, or None. cells,
-    memory [bytes]: 0 leaves them to the machine. rows: None takes what the schedule goes with. force: effects that are
-    simulated although the scene does not call for them. output: the file that the scene will be saved as, beside which
-    images go.
+    """What the user asked for. objects: names or globs of the objects to write, () for all. error: relative, and
+    per_object: of every object; time: seconds to take in its place, or None. cells, memory [bytes]: 0 leaves them to
+    the machine. rows: None takes what the schedule goes with. force: effects that are simulated although the scene does
+    not call for them. output: the file that the scene will be saved as, beside which images go.
 
     bytes: 8-bit copies of the layers too, sRGB of the light times 2^exposure, "auto" for one that fits. channel:
     (attribute, "R", "G", "B" or "A") that takes the first layer's brightness.
@@ -250,8 +250,8 @@ class Job:
         run(self.writing(context))
 
     def writing(self, context, step=inf):
-        """`write` in steps of some `step` seconds: a generator that yields before each object. `changed` then holds Findings about objects that
-        are no longer what was read."""
+        """`write` in steps of some `step` seconds: a generator that yields before each object. `changed` then holds
+        Findings about objects that are no longer what was read."""
         begun = perf_counter()
         self.changed = yield from self.output.writing(context, self.targets, step)
         self._write_seconds = perf_counter() - begun

@@ -330,8 +330,8 @@ class Lightmaps:
         return int(self.atlas.image[triangles[0]]) if len(triangles) else None
 
     def _copy(self, scene, target, source, remesh, former):
-        """The copy of a target's object that holds its lightmap's UV map. source: its mesh as it is rendered; former: name of the
-        copy that it replaces, or None."""
+        """The copy of a target's object that holds its lightmap's UV map. source: its mesh as it is rendered; former:
+        name of the copy that it replaces, or None."""
         if remesh is None:
             return copy_with(scene, target, source.copy(), former)
         piece = piece_of(self.scene, remesh, target)

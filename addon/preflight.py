@@ -24,8 +24,9 @@ ACCURACY = ("error", "time", "layers", "domain", "strict", "output", "bytes", "e
 
 @dataclass(frozen=True)
 class Preflight:
-    """objects, corners: how many meshes and face corners get their light. copies: of shared meshes. findings: of objects that
-    need a word, with what will be done. problem: why a bake cannot start, or "". names: of all objects that take part."""
+    """objects, corners: how many meshes and face corners get their light. copies: of shared meshes. findings: of
+    objects that need a word, with what will be done. problem: why a bake cannot start, or "". names: of all objects
+    that take part."""
 
     objects: int
     corners: int

@@ -55,7 +55,8 @@ def _relight(group, context):
 
 
 class RADIOSITY_PG_effect(bpy.types.PropertyGroup):
-    """An effect of light, why it was needed or not, and what it has cost, or would have; seconds that are not known are -1."""
+    """An effect of light, why it was needed or not, and what it has cost, or would have; seconds that are not known are
+    -1."""
 
     needed: BoolProperty()
     reason: StringProperty()

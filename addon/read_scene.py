@@ -37,8 +37,9 @@ SOLID = {"MESH", "CURVE", "SURFACE", "META", "FONT"}
 class Target:
     """Where the light of one object of the scene goes.
 
-    object: name of the Blender object as it was read; uid: Blender's number for it, whatever it is called. first, last: its corners in the scene, first to last. corner: (last - first,)
-    number of each of them in the evaluated mesh. same: the evaluated mesh has the corners of the object's own mesh.
+    object: name of the Blender object as it was read; uid: Blender's number for it, whatever it is called. first, last:
+    its corners in the scene, first to last. corner: (last - first,) number of each of them in the evaluated mesh. same:
+    the evaluated mesh has the corners of the object's own mesh.
     """
 
     object: str
@@ -53,7 +54,8 @@ def read_scene(context, wanted=None, shared="copy", spacing=1 / 200):
     """The core's Scene of a context's scene in its current frame, and the Targets that can be written.
 
     wanted: function of an object's name, whether its light is asked for; None asks for all. What is asked for never
-    limits what casts light. shared: "skip" writes nothing to meshes that several objects share. spacing: of samples on surfaces that only Cycles understands, in scene diagonals.
+    limits what casts light. shared: "skip" writes nothing to meshes that several objects share. spacing: of samples on
+    surfaces that only Cycles understands, in scene diagonals.
     """
     return run(reading_scene(context, wanted, shared, spacing))
 
@@ -370,8 +372,8 @@ def _values(data, name, count, dtype=np.float32):
 
 
 def _triangles(mesh, polygon_start):
-    """Corners (T, 3) and polygon (T,) of a mesh's triangles. Blender takes longer to tell them than all else of a mesh, so it
-    is not asked where there are no others."""
+    """Corners (T, 3) and polygon (T,) of a mesh's triangles. Blender takes longer to tell them than all else of a mesh,
+    so it is not asked where there are no others."""
     if (np.diff(polygon_start) == 3).all():
         return np.arange(polygon_start[-1], dtype=np.int32).reshape(-1, 3), np.arange(
             len(mesh.polygons), dtype=np.int32

@@ -1,4 +1,5 @@
-"""Work beside Blender's window, such as a bake: it runs in a thread that never touches Blender, and its light whenever it is asked for."""
+"""Work beside Blender's window, such as a bake: it runs in a thread that never touches Blender, and its light whenever
+it is asked for."""
 
 from __future__ import annotations
 
@@ -18,8 +19,9 @@ class Running:
     expected: seconds that it may take, or None.
 
     phase: what the window is at ("read", "work", "write"). waiting: what it waits for, or "". progress: the last
-    Progress, or None. bound, light_error: the last that are known of the light, or None. error: what the work has failed with, or None. brought: it has brought something to write;
-    partial: it was ended early, with the light that was there. cost: seconds that the last look at the light took.
+    Progress, or None. bound, light_error: the last that are known of the light, or None. error: what the work has
+    failed with, or None. brought: it has brought something to write; partial: it was ended early, with the light that
+    was there. cost: seconds that the last look at the light took.
     """
 
     def __init__(self, job, work, expected=None):

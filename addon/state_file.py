@@ -19,7 +19,8 @@ PLACING = (
 
 @dataclass(frozen=True)
 class Origin:
-    """What a bake was made from: the path of a .blend file, the name of a scene and a frame (None: as it opens), Options."""
+    """What a bake was made from: the path of a .blend file, the name of a scene and a frame (None: as it opens),
+    Options."""
 
     path: str
     scene: str | None

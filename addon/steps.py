@@ -21,8 +21,8 @@ def in_steps(work, step):
 
 
 def aside(step, function, *arguments, **named):
-    """What a function of plain arrays returns. It runs in a thread, for which this waits in steps of so many seconds; at once
-    if a step may take forever."""
+    """What a function of plain arrays returns. It runs in a thread, for which this waits in steps of so many seconds;
+    at once if a step may take forever."""
     if step == inf:
         return function(*arguments, **named)
     with ThreadPoolExecutor(1, "radiosity aside") as thread:

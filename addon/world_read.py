@@ -133,7 +133,8 @@ def _sun_of_sky(context, world, node):
 
 
 def _sun_of_map(context, world, radiance):
-    """The Lamp of a sun that is part of an image, which is taken out of the map's radiance (K, 3); None if there is none."""
+    """The Lamp of a sun that is part of an image, which is taken out of the map's radiance (K, 3); None if there is
+    none."""
     size = SIZE * PER_CELL
     level, directions, angle = radiance.mean(axis=1), cell_directions(size), solid_angles(size)
     mean = float((level * angle).sum() / angle.sum())

@@ -85,8 +85,8 @@ def _write_ready(mesh, colors, domain, encoded, channel):
 
 @dataclass(frozen=True)
 class Copies:
-    """What meshes of their own take that objects get in place of shared ones. count: of meshes; bytes: of all; largest: name
-    of the object whose mesh takes most of it with its copies, or ""."""
+    """What meshes of their own take that objects get in place of shared ones. count: of meshes; bytes: of all; largest:
+    name of the object whose mesh takes most of it with its copies, or ""."""
 
     count: int = 0
     bytes: int = 0
@@ -161,7 +161,8 @@ def source_mesh(context, target):
 
 
 def copy_with(scene, target, mesh, former):
-    """A marked copy of a target's object with a mesh of its own, in place of it and of its former copy (a name, or None)."""
+    """A marked copy of a target's object with a mesh of its own, in place of it and of its former copy (a name, or
+    None)."""
     return _result_copy(scene, object_of(scene, target), mesh, scene.objects.get(former) if former else None)
 
 
@@ -170,8 +171,8 @@ def _changed(target):
 
 
 def _place(context, target, copy_name):
-    """The mesh that takes a target's light, made if need be; a Finding if the object is not what was read. copy_name: of the
-    copy that holds its last result, or None."""
+    """The mesh that takes a target's light, made if need be; a Finding if the object is not what was read. copy_name:
+    of the copy that holds its last result, or None."""
     scene = context.scene
     object = object_of(scene, target)
     if object is None:

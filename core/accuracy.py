@@ -35,11 +35,11 @@ RARE = 1e-3  # objects darker than this share of the scene's mean are not looked
 class Estimate:
     """The error of a bake, as shares of its light (root mean square).
 
-    total: of all points but those that lie in a corner, which were moved out of it. interior: without those on a crease or
-    an open edge too. sampling, patches
-    and solve: the parts of the total, whose squares add up to its own. noise: the part of it that more rays take away,
-    the filter's blur with it. shared: the rest, as far as it is certain. doubt: standard error of
-    its square. objects: (O,) error of each object, NaN where it is too dark or was not baked, and object_noise (O,) the noise of it.
+    total: of all points but those that lie in a corner, which were moved out of it. interior: without those on a crease
+    or an open edge too. sampling, patches and solve: the parts of the total, whose squares add up to its own. noise:
+    the part of it that more rays take away, the filter's blur with it. shared: the rest, as far as it is certain.
+    doubt: standard error of its square. objects: (O,) error of each object, NaN where it is too dark or was not baked,
+    and object_noise (O,) the noise of it.
     """
 
     total: float = 0.0
@@ -62,8 +62,8 @@ class Estimate:
 
 
 def estimate_error(points, light, control, free, bound):
-    """The Estimate of a Light, from a traced Control. free: (P,) bool, points that do not lie in a corner; bound: certified,
-    of the solve."""
+    """The Estimate of a Light, from a traced Control. free: (P,) bool, points that do not lie in a corner; bound:
+    certified, of the solve."""
     power = points.area * (light.total * light.total).sum(axis=0)
     scatter = points.area * light.variance.sum(axis=0)
     count = int(points.object.max(initial=-1)) + 1
@@ -137,8 +137,9 @@ def rays_wanted(estimate, rays, error):
 
 
 def rays_by_object(estimate, rays, error):
-    """(O,) how many rays another replicate should have at the points of each object to bring it to an error; 0 where it has
-    enough, or where they would be of no use. rays: (O,) of its points so far. Few different numbers, so that few replicates do.
+    """(O,) how many rays another replicate should have at the points of each object to bring it to an error; 0 where it
+    has enough, or where they would be of no use. rays: (O,) of its points so far. Few different numbers, so that few
+    replicates do.
     """
     total, noise = np.nan_to_num(estimate.objects), estimate.object_noise
     shared = np.maximum(total * total - noise * noise, 0.0)

@@ -25,8 +25,9 @@ APART = (0.41421356237309503, 0.7320508075688772)  # steps from point to point o
 
 @dataclass(frozen=True)
 class Edges:
-    """Patch sides (E,) that a source lights in part, its number (E,), the mean irradiance (E,) that it gives each, per unit
-    of its strength, and the irradiance (E,) that it would give the whole side [W/m^2]: of several sources, the brightest."""
+    """Patch sides (E,) that a source lights in part, its number (E,), the mean irradiance (E,) that it gives each, per
+    unit of its strength, and the irradiance (E,) that it would give the whole side [W/m^2]: of several sources, the
+    brightest."""
 
     sides: np.ndarray
     source: np.ndarray
@@ -48,9 +49,9 @@ def edge_arrays(edges, reflectance, level):
 
 
 def read_reflected(kernel, hit, ids, each, seed):
-    """(C, K * each) light [W/m^2] that sides reflect toward rays that met them: Hits of `each` rays from places ids (K,). On
-    edges the light of the source is that of the very place, seen by one test ray: near them, and there are few, a mean over
-    the side is what is most wrong with the light of the points."""
+    """(C, K * each) light [W/m^2] that sides reflect toward rays that met them: Hits of `each` rays from places ids
+    (K,). On edges the light of the source is that of the very place, seen by one test ray: near them, and there are
+    few, a mean over the side is what is most wrong with the light of the points."""
     light, source = read_light(kernel.arrays["gather.reflected"], hit.side), kernel.arrays["edges.source"]
     if not len(source):
         return light
@@ -73,8 +74,8 @@ def read_reflected(kernel, hit, ids, each, seed):
 
 
 def reflect_anew(kernel, hit, chosen, x):
-    """(C, K) light [W/m^2] that the chosen hits (K,) of Hits reflect: of a source picked for each, and of one more ray, with
-    a guided one beside it.
+    """(C, K) light [W/m^2] that the chosen hits (K,) of Hits reflect: of a source picked for each, and of one more ray,
+    with a guided one beside it.
 
     x: (5, K) samples in [0, 1): which source, or side that rays are guided to, a place on it, and the direction of the ray.
     """
@@ -101,8 +102,8 @@ def reflect_anew(kernel, hit, chosen, x):
 
 
 def first_light(kernel, position, normal, samples):
-    """{"light": (K,)} irradiance [W/m^2], the mean of the channels, at places on surfaces with normals (K, 3) from one source
-    each; samples: (3, K) in [0, 1)."""
+    """{"light": (K,)} irradiance [W/m^2], the mean of the channels, at places on surfaces with normals (K, 3) from one
+    source each; samples: (3, K) in [0, 1)."""
     start = kernel.caster.start(position, normal)
     return {"light": _one_source(kernel, position, normal, start, *samples).mean(axis=0)}
 

@@ -152,8 +152,8 @@ def _mapped(scene, together):
 
 
 def _charts(xatlas, scene, triangle, fine):
-    """Charts of one object's triangles (K,): their corners in the plane (K, 3, 2) [m], and the chart (K,) of each. fine: the
-    scene has too many triangles for xatlas to find them."""
+    """Charts of one object's triangles (K,): their corners in the plane (K, 3, 2) [m], and the chart (K,) of each.
+    fine: the scene has too many triangles for xatlas to find them."""
     normal = scene.corner_normal[scene.triangle_corner[triangle]].reshape(-1, 3)
     facing = scene.triangle_normal_area[0][triangle]
     normal = unit(normal, facing.repeat(3, axis=0))

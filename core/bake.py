@@ -50,10 +50,10 @@ SOLVED = 0.25  # of the error asked for: a known transport whose bound is below 
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a bake stands. phase: "survey", "patches", "transport", "gather" or "error". done: share of the phase, 0..1. round, bound: of
-    the transport. points: gathered so far. rays: cast so far. seconds: since the bake began. left: seconds, a guess.
-    error: estimated so far. take(): the Bake as it stands, as long as it has not gone on; None before there is light.
-    state(): the State as it stands, to carry the bake on from; None before there are patches."""
+    """Where a bake stands. phase: "survey", "patches", "transport", "gather" or "error". done: share of the phase,
+    0..1. round, bound: of the transport. points: gathered so far. rays: cast so far. seconds: since the bake began.
+    left: seconds, a guess. error: estimated so far. take(): the Bake as it stands, as long as it has not gone on; None
+    before there is light. state(): the State as it stands, to carry the bake on from; None before there are patches."""
 
     phase: str
     done: float
@@ -72,9 +72,9 @@ class Progress:
 class Bake:
     """A finished bake, or one as it stands: every record of its path, seconds by phase, CPU seconds, and what the cells
     used. estimate: of its error. converged: the error asked for was reached. floor: it was reached by the cheapest way.
-    price: tuple of Price, after the pilot. groups: light groups, if they were asked for, and by_group: a Light with a channel for each group's. openness: (P,) 1
-    less ambient occlusion, if it was asked for. factors: (G, 3) by which the groups' strengths were changed, None for
-    none. state(): the State, to carry it on from."""
+    price: tuple of Price, after the pilot. groups: light groups, if they were asked for, and by_group: a Light with a
+    channel for each group's. openness: (P,) 1 less ambient occlusion, if it was asked for. factors: (G, 3) by which the
+    groups' strengths were changed, None for none. state(): the State, to carry it on from."""
 
     scene: Scene
     settings: Settings
@@ -100,13 +100,12 @@ class Bake:
 def bake(scene, settings, cells, place=None, group_of=None, state=None, average=None):
     """Bake a scene: a generator that yields Progress and returns the Bake. cells: any `Cells`; they are left running.
     place: generator function of (scene, flipped, cells, light, kept) that returns the Scene to write, its Points, and
-    {name: array} to keep: given as `kept`, else None, it returns the same again without a ray; None for the scene's corners.
-    light: generator function of Points, that returns (P,) what they get, roughly. group_of: the light
-    group of a lamp's or object's name, see groups.make_groups; None keeps no groups. state: the State of a bake of the same
-    scene, to go on from: no ray of it is cast again. average: generator function of (points, light, cells, seed) that returns
-    ids (K,) of the points whose light of sampled sources is that of a whole surface around them, and that light (C, K); None
-    for none.
-    Raises StateError if it is not the same scene."""
+    {name: array} to keep: given as `kept`, else None, it returns the same again without a ray; None for the scene's
+    corners. light: generator function of Points, that returns (P,) what they get, roughly. group_of: the light group of
+    a lamp's or object's name, see groups.make_groups; None keeps no groups. state: the State of a bake of the same
+    scene, to go on from: no ray of it is cast again. average: generator function of (points, light, cells, seed) that
+    returns ids (K,) of the points whose light of sampled sources is that of a whole surface around them, and that light
+    (C, K); None for none. Raises StateError if it is not the same scene."""
     scene = mend(scene)
     groups = make_groups(scene, group_of, emitting_polygons(scene)) if group_of else None
     if state is not None:
@@ -140,8 +139,8 @@ def price(scene, settings, cells, errors=PRICED, place=None, group_of=None):
 
 
 def restored(scene, state, place=None):
-    """The Bake that a State has come to, without casting a ray: a generator, as `place` is one; see `bake`. Raises StateError
-    if the scene is another, or there is no light at points yet."""
+    """The Bake that a State has come to, without casting a ray: a generator, as `place` is one; see `bake`. Raises
+    StateError if the scene is another, or there is no light at points yet."""
     scene = mend(scene)
     state.check_scene(scene)
     if state.gathered is None:
@@ -208,7 +207,8 @@ class _Course:
         self.clock.lap("gather")
 
     def too_coarse(self):
-        """Whether patches alone keep the bake from its error for certain, where they have the length that is usual for it."""
+        """Whether patches alone keep the bake from its error for certain, where they have the length that is usual for
+        it."""
         settings, found, error = self.settings, self.estimate, self.settings.error
         usual = eased(Settings.for_error(error, per_object=settings.per_object), self.survey)
         if found is None or self._coarse or self._timed or settings.gather_rays is not None:

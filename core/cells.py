@@ -117,8 +117,8 @@ class Cells:
         return [kept.pop(k) for k in ids]
 
     def flow(self, name, each, most=inf):
-        """Yield the results of tasks in order. each: iterable of their arguments, which are made as cells come free, so that
-        those of all tasks are never held at a time. most: that wait, where they are large."""
+        """Yield the results of tasks in order. each: iterable of their arguments, which are made as cells come free, so
+        that those of all tasks are never held at a time. most: that wait, where they are large."""
         waiting = deque()
         for arguments in each:
             waiting.append(self.submit(name, **arguments))
@@ -348,8 +348,9 @@ class _Process:
 
 
 def _packed(message, apart=inf):
-    """A message as the parts that are sent one by one, packed once for all cells. Arrays of `apart` bytes or more, which
-    nobody may change any more, are parts of their own: to copy them would hold up the other threads, Blender's window too."""
+    """A message as the parts that are sent one by one, packed once for all cells. Arrays of `apart` bytes or more,
+    which nobody may change any more, are parts of their own: to copy them would hold up the other threads, Blender's
+    window too."""
     arrays = []
     callback = lambda array: array.raw().nbytes < apart or arrays.append(array.raw())
     head = pickle.dumps(message, 5, buffer_callback=callback)

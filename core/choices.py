@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from .accuracy import ENOUGH, SMALL
+from .effects import SHADOWS
 from .settings import Settings
 
 EASED = 4.0  # times the length of patches where nothing casts a shadow
@@ -27,7 +28,8 @@ CONTROL_COST = 6  # gather rays that a control ray costs: those of both truths, 
 
 
 def eased(settings, found):
-    """Settings with the longest patches and the shortest rows that do, by what the survey found, unless others were asked for.
+    """Settings with the longest patches and the shortest rows that do, by what the survey found, unless others were
+    asked for.
 
     In a room in which nothing casts a shadow light varies as slowly as the room is wide, so patches several times as long,
     with rows of twice the rays, do as well. Elsewhere what patches miss counts by the share of light that is reflected.
@@ -49,7 +51,7 @@ def eased(settings, found):
 
 def shadowless(found):
     """Whether nothing casts a shadow, and no light comes through openings or from images, by what the survey found."""
-    return not any(found.needs(name) for name in ("occlusion", "sky", "textures", "transparency"))
+    return not any(found.needs(name) for name in SHADOWS)
 
 
 def finer(wanted, settings):

@@ -18,7 +18,8 @@ def off_reference(bake, reference):
 
 
 def off_at_vertices(found, reference):
-    """Relative error of irradiance / pi, {name: (V, 3)} at the vertices of objects, whoever found it: see `off_reference`."""
+    """Relative error of irradiance / pi, {name: (V, 3)} at the vertices of objects, whoever found it: see
+    `off_reference`."""
     return of_all(_parts_at_vertices(found, reference))
 
 

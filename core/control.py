@@ -28,8 +28,8 @@ DIRECT_TESTS, FEWEST_TESTS = 64, 8  # test rays to a source that gives all light
 
 @dataclass(frozen=True)
 class Traced:
-    """What a Control has traced: `rounds` rounds of `rays` rays in all, sums (2, 2, C, K) of truths and of what patches add;
-    and of a round of `asked` rays that is under way, truth and patches (C, N) at the first N of its places."""
+    """What a Control has traced: `rounds` rounds of `rays` rays in all, sums (2, 2, C, K) of truths and of what patches
+    add; and of a round of `asked` rays that is under way, truth and patches (C, N) at the first N of its places."""
 
     rays: int = 0
     rounds: int = 0
@@ -48,7 +48,8 @@ class Control:
     """
 
     def __init__(self, points, ids, weight, cells, settings, groups=1, traced=None):
-        """points: of all of which ids are some. groups: number of light groups, whose light is put together. traced: to go on from."""
+        """points: of all of which ids are some. groups: number of light groups, whose light is put together. traced: to
+        go on from."""
         self._points, self.ids, self.weight, self._cells = points, ids, weight, cells
         self._settings, self._groups = settings, groups
         self.traced = traced or Traced()
@@ -144,8 +145,9 @@ def _samples(ids, rays, seed):
 
 
 def direct_light(kernel, points, factor, tests, fewest, seed):
-    """(C, K) light of the sampled sources at the points of a Block [W/m^2], from many test rays: `tests` to one that gives all, and
-    fewer to those that give less. factor: (K, S) what they give with nothing in between, per unit of strength."""
+    """(C, K) light of the sampled sources at the points of a Block [W/m^2], from many test rays: `tests` to one that
+    gives all, and fewer to those that give less. factor: (K, S) what they give with nothing in between, per unit of
+    strength."""
     sources, ids = kernel.sources, points.ids
     light = np.zeros((sources.strength.shape[1], len(ids)))
     position, normal, geometric = points.position, points.normal, points.geometric

@@ -10,11 +10,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from .effects import SHADOWS
+
 SOURCES = ("lamps", "emission", "sky")  # effects whose sources are sampled
 ROWS = ("rows", "analytic", "guided")  # tasks that find where light goes
 RAYS = ("direct", "gather", "control", *ROWS)  # tasks that cast rays at patches and points
 BY_RAYS = ("interreflection", "sky", "emission")  # effects that call for rays: the first that is needed has them all
-UNEASED = ("occlusion", "sky", "textures", "transparency")  # any of them takes the ease of an empty room away
 
 # Forced on where they were left out, in the price of the bake's own rays (a dozen rooms of 10 000 vertices at 2 %):
 TESTS = 8.0  # rays of a point or patch toward a source, in case something is in the way
@@ -28,8 +29,9 @@ CHANNELS = 0.11  # of all CPU seconds: two more channels
 
 @dataclass(frozen=True)
 class Work:
-    """What a bake has done. cpu: its CPU seconds; solve: those of the host's own solve; parts: {part: those of the cells}.
-    patches, row_rays: and of each row; usual: (patches, row_rays), were they not eased. pilot_rays: of a point in the pilot. sources: how many are sampled. reflects: whether any side does."""
+    """What a bake has done. cpu: its CPU seconds; solve: those of the host's own solve; parts: {part: those of the
+    cells}. patches, row_rays: and of each row; usual: (patches, row_rays), were they not eased. pilot_rays: of a point
+    in the pilot. sources: how many are sampled. reflects: whether any side does."""
 
     cpu: float
     solve: float
@@ -78,7 +80,7 @@ def _foretold(needed, work):
         "instances": 0.0,
         "islands": 0.0,
     }
-    return {name: cost + finer * (name in UNEASED) for name, cost in seconds.items()}
+    return {name: cost + finer * (name in SHADOWS) for name, cost in seconds.items()}
 
 
 def _costs(needed, work):

@@ -29,10 +29,7 @@ LONG = 2.0  # times as long as wide a piece may be
 SLIM = 4.0  # square of its reach, as a multiple of its area, from which on a source is much longer than wide
 PART = 0.25  # of its reach: what a member that the horizon cuts is thought to rise above it, at least
 RIM = 0.05  # share of a lamp's light that it is thought to give where only a part of it may shine
-GROUP, MOST_GROUPS = (
-    8,
-    256,
-)  # members of a group, from which a single place picks one, if there are not many more groups
+GROUP, MOST_GROUPS = 8, 256  # members of a group, of which a single place picks one; and how many groups, about
 ALIKE = 1e-3  # difference of normals that are one
 SPACING = 0.25  # of members of a group, as a share of its reach: none is thought nearer
 BLOCK = 1 << 16  # pairs of a place and a member at a time: they stay in the processor's cache
@@ -45,11 +42,12 @@ PICK = 7  # salt of the sample sequences
 class Crowd:
     """M members, F flat ones first, then lamps without extent or like balls.
 
-    source: (M,) number of the source that each is (a piece) of. center: (M, 3); normal: (M, 3) unit, the way that it shines;
-    reach: (M,) [m]. power: (M,) mean strength of its channels, color: (M, C) in units of that. cone: (M, 2), see Sources.
-    Of the flat ones frame: (F, 3, 3) a corner and two edges from there, square: (F,) bool, a parallelogram, else a
-    triangle; area: (F,) [m^2]; two_sided: (F,) bool. Of the others radius: (M - F,), soft: (M - F,) bool. effect: that most
-    belong to. unit: [m] lengths are counted in it where members are compared: float32 holds no squares of squares of any length.
+    source: (M,) number of the source that each is (a piece) of. center: (M, 3); normal: (M, 3) unit, the way that it
+    shines; reach: (M,) [m]. power: (M,) mean strength of its channels, color: (M, C) in units of that. cone: (M, 2),
+    see Sources. Of the flat ones frame: (F, 3, 3) a corner and two edges from there, square: (F,) bool, a
+    parallelogram, else a triangle; area: (F,) [m^2]; two_sided: (F,) bool. Of the others radius: (M - F,), soft: (M -
+    F,) bool. effect: that most belong to. unit: [m] lengths are counted in it where members are compared: float32 holds
+    no squares of squares of any length.
     """
 
     source: np.ndarray
@@ -84,7 +82,8 @@ class Crowd:
 
     @cached_property
     def _relative(self):
-        """The power of members (M,), in units of the strongest's, and what that is [W/m^2]: of lamps at a distance of one unit."""
+        """The power of members (M,), in units of the strongest's, and what that is [W/m^2]: of lamps at a distance of
+        one unit."""
         power = self.power.copy()
         power[self.flats :] /= self.unit * self.unit
         top = float(power.max())
@@ -92,15 +91,16 @@ class Crowd:
 
     @cached_property
     def _rough(self):
-        """What `likely` works on, float32 in its units: the middle of the crowd [m], and center, normal (3, M), reach, power,
-        cone; and of the flat ones area, of the others radius."""
+        """What `likely` works on, float32 in its units: the middle of the crowd [m], and center, normal (3, M), reach,
+        power, cone; and of the flat ones area, of the others radius."""
         middle, unit = self.center.mean(axis=0), self.unit
         parts = (self.center - middle).T / unit, self.normal.T, self.reach / unit, self._relative[0], self.cone.T
         return middle, *(np.ascontiguousarray(x, np.float32) for x in (*parts, self.area / unit**2, self.radius / unit))
 
     def likely(self, position, normal, extent=None):
-        """(K, M) float32 roughly what each member may give places (K, 3), mean of the channels, in units of what the strongest is
-        (see `_relative`); positive unless it can give nothing. extent: (K,) how far what a place stands for reaches around it [m]."""
+        """(K, M) float32 roughly what each member may give places (K, 3), mean of the channels, in units of what the
+        strongest is (see `_relative`); positive unless it can give nothing. extent: (K,) how far what a place stands
+        for reaches around it [m]."""
         result = np.empty((len(position), len(self)), np.float32)
         size = max(BLOCK // max(len(self), 1), 1)
         for k in range(0, len(position), size):
@@ -163,8 +163,8 @@ class Crowd:
         return float((self.power * np.append(self.area * np.where(self.two_sided, 2.0, 1.0), ball)).sum())
 
     def slope(self, position, normal, extent):
-        """(K,) how much what the members give patches with their centers (K, 3) and extents (K,) [m] changes there, about: the sum
-        of what each gives over its distance [W/m^3]."""
+        """(K,) how much what the members give patches with their centers (K, 3) and extents (K,) [m] changes there,
+        about: the sum of what each gives over its distance [W/m^3]."""
         slope, size = np.zeros(len(position)), max(BLOCK // len(self), 1)
         middle, center, _, reach, *_ = self._rough
         for k in range(0, len(position), size):
@@ -184,8 +184,8 @@ class Crowd:
         return np.where(self.two_sided[member] | front, factor, 0.0)
 
     def from_one(self, caster, member, position, normal, start, a, b, occluded=True):
-        """What `test` says of places where one on the member stands for all of it: where that is so close that one says little
-        of the others, its exact factor is taken."""
+        """What `test` says of places where one on the member stands for all of it: where that is so close that one says
+        little of the others, its exact factor is taken."""
         factor, seen = self.test(caster, member, position, normal, normal, start, a, b, occluded)
         away = position - self.center[member]
         flat = (member < self.flats) & (self.cone[member, 0] <= 0)
@@ -219,8 +219,8 @@ class Crowd:
         return factor, seen
 
     def _flat_place(self, m, position, normal, a, b):
-        """Places on flat members (K,), the ways there (K, 3), what the places tell of the light, and normals above which they
-        lie."""
+        """Places on flat members (K,), the ways there (K, 3), what the places tell of the light, and normals above
+        which they lie."""
         fold = ~self.square[m] & (a + b > 1.0)
         u, v = np.where(fold, 1.0 - a, a)[:, None], np.where(fold, 1.0 - b, b)[:, None]
         frame = self.frame[m]
@@ -267,8 +267,8 @@ class Crowd:
         return aim, toward, light, None
 
     def at_points(self, caster, ids, position, normal, geometric, count, seed, occluded=True):
-        """(C, K) light that points (K, 3) get [W/m^2], by so many test rays as count(light), (K,) of what they may get, says.
-        ids: (K,) numbers of them, which tell their samples apart."""
+        """(C, K) light that points (K, 3) get [W/m^2], by so many test rays as count(light), (K,) of what they may get,
+        says. ids: (K,) numbers of them, which tell their samples apart."""
         light = np.zeros((self.color.shape[1], len(ids)))
         start, begun = caster.start(position, geometric), thread_time()
         for part in self._parts(ids):
@@ -317,8 +317,8 @@ class Crowd:
         return near
 
     def _picks(self, upto, count, ids, seed):
-        """The place (R,) and member (R,) of count (K,) picks of each of K places, and two samples (R,) each; upto: (K, M) sums of
-        what the members may give. Picks of one place are in the order of the members."""
+        """The place (R,) and member (R,) of count (K,) picks of each of K places, and two samples (R,) each; upto: (K,
+        M) sums of what the members may give. Picks of one place are in the order of the members."""
         owner, number = counted(count)
         shift = scatter(np.arange(3), PICK + 8 * seed)
         ids = np.asarray(ids, np.int64)[owner]
@@ -328,8 +328,8 @@ class Crowd:
         ]  # fmt: skip
 
     def on_patches(self, caster, center, extent, position, normal, a, b, occluded=True):
-        """(C, K) mean irradiance [W/m^2] of patches with their centers (K, 3) and extents (K,) [m], of one member for each of the
-        places (K, n, 3) on them. normal: (K, n, 3) at the places; a, b: (K, n) in [0, 1)."""
+        """(C, K) mean irradiance [W/m^2] of patches with their centers (K, 3) and extents (K,) [m], of one member for
+        each of the places (K, n, 3) on them. normal: (K, n, 3) at the places; a, b: (K, n) in [0, 1)."""
         light, places = np.zeros((self.color.shape[1], len(center))), a.shape[1]
         begun = thread_time()
         for part in self._parts(center):
@@ -352,9 +352,9 @@ class Crowd:
 
     @cached_property
     def _groups(self):
-        """First (G,) and last (G,) member of groups that lie together, and of each, float32: the ends of the box around its
-        members (3, G), the middle (3, G) of that, its reach and its power (G,); the normal (3, G) that all its members have,
-        0 if they have not, and (G,) whether they shine to both sides of it."""
+        """First (G,) and last (G,) member of groups that lie together, and of each, float32: the ends of the box around
+        its members (3, G), the middle (3, G) of that, its reach and its power (G,); the normal (3, G) that all its
+        members have, 0 if they have not, and (G,) whether they shine to both sides of it."""
         size, first = max(GROUP, len(self) // MOST_GROUPS), np.arange(0)
         for low, high in ((0, self.flats), (self.flats, len(self))):
             first = np.append(first, np.arange(low, high, size))
@@ -404,8 +404,8 @@ class Crowd:
         return result
 
     def one(self, caster, position, normal, start, given, pick, a, b, occluded=True):
-        """(C, K) light of places (K, 3) [W/m^2] from one member each, over the chance that it is picked with: first of a group,
-        by what is `given`. pick, a, b: (K,) in [0, 1)."""
+        """(C, K) light of places (K, 3) [W/m^2] from one member each, over the chance that it is picked with: first of
+        a group, by what is `given`. pick, a, b: (K,) in [0, 1)."""
         first, last = self._groups[:2]
         row, upto = np.arange(len(pick)), np.cumsum(given, axis=1, dtype=float)
         target = pick * upto[:, -1]

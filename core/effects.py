@@ -28,6 +28,7 @@ DARK = 1e-3  # an object whose front gets less than this share of what its back 
 SHARE = 0.2  # of the error asked for that one effect may be worth when it is left out
 SEEN = 150  # rays of the survey from each side of the faces, divided by the error asked for
 MOST_RAYS = 100_000  # of the survey, from each side
+SHADOWS = ("occlusion", "sky", "textures", "transparency")  # effects by which light changes within a short way
 EACH = 4  # rays at least from each side of every piece of surface
 EARLY = 8  # one in so many rays goes before the others
 LAMP_RAYS = 256  # rays from each lamp
@@ -287,7 +288,8 @@ class _Look:
 
 
 def _nodes_met(nodes, hit, back):
-    """The nodes of the sides of triangles that rays met: hit (K,), -1 for a miss, back (K,) bool; nodes: front, back (T,)."""
+    """The nodes of the sides of triangles that rays met: hit (K,), -1 for a miss, back (K,) bool; nodes: front, back
+    (T,)."""
     met = hit >= 0
     return np.where(back[met], nodes[1][hit[met]], nodes[0][hit[met]])
 

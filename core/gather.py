@@ -46,9 +46,7 @@ UNSEEN = 32  # gather rays to a test ray toward a source that the first few find
 DIM = 0.02  # a point that gets less than this share of its unoccluded light is tested DIM_TESTS times more
 DIM_TESTS = 16
 
-CROWD_TESTS = (
-    1.0  # test rays toward a crowd of sources for each gather ray, where it may give what points get in the mean
-)
+CROWD_TESTS = 1.0  # rays toward a crowd for each gather ray, where it may give what points get in the mean
 LEAST_BRIGHT, MOST_BRIGHT = 0.25, 4.0  # times as many where it may give less, and more
 FEWEST = 4  # of them
 
@@ -229,9 +227,10 @@ def light_arrays(points, solution, surfaces, sky, side):
 
 
 def gather_points(kernel, rays, tests, seed, links, **points):
-    """Light at the K points of a Block, by `rays` rays and `tests` times the usual test rays: "direct" of sampled sources, "found" by
-    rays and "reflected", (C, K) float32 [W/m^2]; "nearness" (K,) float32, the mean inverse distance that their rays went, in
-    scene diagonals; "closest" (K,) float32, the shortest; if `links`, "links" (E,) bool, which of their neighbors they see along the edge."""
+    """Light at the K points of a Block, by `rays` rays and `tests` times the usual test rays: "direct" of sampled
+    sources, "found" by rays and "reflected", (C, K) float32 [W/m^2]; "nearness" (K,) float32, the mean inverse distance
+    that their rays went, in scene diagonals; "closest" (K,) float32, the shortest; if `links`, "links" (E,) bool, which
+    of their neighbors they see along the edge."""
     reflected, found = kernel.arrays["gather.reflected"], kernel.arrays["gather.found"]
     points, count = Block(**points), kernel.sources.strength.shape[1]
     result = {name: np.zeros((count, len(points)), np.float32) for name in PARTS}
@@ -263,7 +262,8 @@ def gather_points(kernel, rays, tests, seed, links, **points):
 
 
 class Shooter:
-    """Rays from the points of a Block: `rays` over the hemisphere of each, and guided ones if there are any, `each` in all."""
+    """Rays from the points of a Block: `rays` over the hemisphere of each, and guided ones if there are any, `each` in
+    all."""
 
     def __init__(self, kernel, points, rays, seed):
         self._kernel, self._points, self._rays, self._seed = kernel, points, rays, seed
@@ -412,9 +412,9 @@ def _crowd(kernel, points, rays, tests, seed):
 
 
 def _tests(kernel, s, position, share, tests):
-    """(K,) test rays from points toward a source before anything is known, `tests` times as many as usual: fewer the less of
-    their light is its, and more where its parts do not shine alike: the share that is visible is a ratio of sums of weights,
-    which few very unlike weights bias."""
+    """(K,) test rays from points toward a source before anything is known, `tests` times as many as usual: fewer the
+    less of their light is its, and more where its parts do not shine alike: the share that is visible is a ratio of
+    sums of weights, which few very unlike weights bias."""
     if _sharp(kernel, s):
         return np.ones(len(position), np.int64)
     usual = np.where(unlike(kernel.sources, s, position), UNLIKE * TESTS, TESTS)

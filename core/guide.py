@@ -50,12 +50,12 @@ NOTHING = Guide(np.zeros(0, np.int32), np.zeros(0))
 def bright_sides(hits, weight, direct, light, found, area, error, points, cost):
     """(2 N,) bool, sides to guide rays to if they can be seen; none if that is not called for at an error.
 
-    hits: (K, n) int32 sides that the rays of rows met, cells of the sky as negative numbers; weight, direct: (K,) of each
-    row's side, and irradiance that it has without rays; light: (2 N + M,) of the sides and the sky's cells; found: (2 N,) the
-    part of it that sides emit; area: (2 N,). points: number of points that will be gathered at; cost: rays that it takes to
-    find first what bright sides bring. What a ray brings has a second moment, of which the bright sides have their part;
-    what remains without them must be little beside the variance, and that so much that fewer rays at the points make good
-    for the cost.
+    hits: (K, n) int32 sides that the rays of rows met, cells of the sky as negative numbers; weight, direct: (K,) of
+    each row's side, and irradiance that it has without rays; light: (2 N + M,) of the sides and the sky's cells; found:
+    (2 N,) the part of it that sides emit; area: (2 N,). points: number of points that will be gathered at; cost: rays
+    that it takes to find first what bright sides bring. What a ray brings has a second moment, of which the bright
+    sides have their part; what remains without them must be little beside the variance, and that so much that fewer
+    rays at the points make good for the cost.
     """
     rays, none = hits.shape[1], np.zeros(len(area), bool)
     wanted = np.flatnonzero(weight > 0)
@@ -103,8 +103,8 @@ class Aim:
         self._upto = np.cumsum(self._likely, axis=1, dtype=float)
 
     def rays(self, position, u, a, b):
-        """Directions (3, K, m) float32 from places (K, 1 or m, 3), by samples u, a, b (K, m) in [0, 1). Where nothing can be
-        seen of the guide's sides they go anywhere, and count for nothing."""
+        """Directions (3, K, m) float32 from places (K, 1 or m, 3), by samples u, a, b (K, m) in [0, 1). Where nothing
+        can be seen of the guide's sides they go anywhere, and count for nothing."""
         guide, row = self._guide, np.arange(len(u))[:, None]
         target = u * self._upto[:, -1:]
         group = np.minimum((self._upto[:, None] <= target[:, :, None]).sum(axis=2), guide.groups - 1)

@@ -68,10 +68,10 @@ class Solution:
     """What phase 1 found, (C, 2 N) per channel and side, in W/m^2.
 
     reflected: light sent back or through, what gather rays read. irradiance: light arriving; direct: the part of it
-    from sampled sources. rounds: tuple of Round.
-    sweeps: over all rows. bound: certified bound on the largest error of `irradiance`, as a share of its mean.
-    energy: {name: W}, sums of the channels. edges: sides that a source lights in part. rows: those that were kept. guide: sides that rays are guided to, None as long as
-    that is not known, and guided: (C, 2 N) irradiance by their first light.
+    from sampled sources. rounds: tuple of Round. sweeps: over all rows. bound: certified bound on the largest error of
+    `irradiance`, as a share of its mean. energy: {name: W}, sums of the channels. edges: sides that a source lights in
+    part. rows: those that were kept. guide: sides that rays are guided to, None as long as that is not known, and
+    guided: (C, 2 N) irradiance by their first light.
     """
 
     reflected: np.ndarray
@@ -353,7 +353,8 @@ class Transport:
         return irradiance, sweeps, bound
 
     def reflected(self, bounces):
-        """(C, 2 N) light that sides with rows send back or through, of light that was sent so less than `bounces` times before."""
+        """(C, 2 N) light that sides with rows send back or through, of light that was sent so less than `bounces` times
+        before."""
         surfaces, sides = self.surfaces, self.rows.sides
         irradiance, reflected = self.direct.copy(), np.zeros_like(self.direct)
         for _ in range(bounces):
@@ -497,10 +498,10 @@ def _least_residual(update, values, updated, goal):
 def solve(patches, surfaces, sky, cells, settings, survey=None, known=None, written=None, points=0):
     """Find the Solution: a generator that yields a Round after every round and returns the Solution.
 
-    sky: (C, M) exitance of the world, of each cell of its map [W/m^2]. survey: the Survey of the scene, if one was made. cells: started with `kernel.scene_arrays`.
-    known: a Solution for the same, perhaps unfinished, whose direct light and rows are taken, not traced again; the
-    result has the bits that it would have without. written: (2 N,) bool, sides whose light is asked for; None: all.
-    points: about how many there will be to gather at.
+    sky: (C, M) exitance of the world, of each cell of its map [W/m^2]. survey: the Survey of the scene, if one was
+    made. cells: started with `kernel.scene_arrays`. known: a Solution for the same, perhaps unfinished, whose direct
+    light and rows are taken, not traced again; the result has the bits that it would have without. written: (2 N,)
+    bool, sides whose light is asked for; None: all. points: about how many there will be to gather at.
     """
     begun = perf_counter()
     count, target = 2 * len(patches), settings.error / 10
@@ -648,7 +649,8 @@ def _with_known(known, sides, results):
 
 
 def joined_rows(known, kept, others, results):
-    """Rows with those of sides `kept` (K,) of `known` rows and those of others (L,), given by the results of their tasks."""
+    """Rows with those of sides `kept` (K,) of `known` rows and those of others (L,), given by the results of their
+    tasks."""
     both = known.empty()
     both.add(kept, [known.of_sides(kept)])
     if len(others):

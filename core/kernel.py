@@ -32,7 +32,8 @@ def blocks(count, each):
 
 
 def cast_arrays(scene, veiled=False):
-    """The arrays that cells need to cast rays, as {name: array}. veiled: as if rays might pass surfaces, even if none can."""
+    """The arrays that cells need to cast rays, as {name: array}. veiled: as if rays might pass surfaces, even if none
+    can."""
     alpha = make_alpha(scene, veiled)
     return {
         "scene.vertices": scene.vertices, "scene.triangles": scene.triangles, "scene.usable": scene.usable,
@@ -135,8 +136,8 @@ class Kernel:
 
     @cached_property
     def factors(self):
-        """(P, S) what every source would give every point with nothing in between, per unit of strength: NaN where it has not
-        been asked for, or None if it would take too much memory. Each replicate asks for the same again."""
+        """(P, S) what every source would give every point with nothing in between, per unit of strength: NaN where it
+        has not been asked for, or None if it would take too much memory. Each replicate asks for the same again."""
         shape = int(self.arrays["points.count"]), len(self.sources)
         return np.full(shape, np.nan) if shape[0] * shape[1] <= MOST_FACTORS else None
 

@@ -15,9 +15,9 @@ def layer_colors(bake, layer, group=None):
     """(C, 3) float64 color of every corner of the scene in a layer; 0 at corners without a point.
 
     Radiosity: (exitance + reflectance * irradiance) / pi, what the eye sees. Lighting: irradiance / pi, without the
-    surface's own color. Direct, Indirect: its two parts. Occlusion: 1 where nothing is near, less
-    where something is. RadiosityError: the standard error of Lighting at each point, as replicates scatter. group: number of the light group that is meant, None for all
-    light. Raises ValueError for a layer that is not known.
+    surface's own color. Direct, Indirect: its two parts. Occlusion: 1 where nothing is near, less where something is.
+    RadiosityError: the standard error of Lighting at each point, as replicates scatter. group: number of the light
+    group that is meant, None for all light. Raises ValueError for a layer that is not known.
     """
     points, scene = bake.points, bake.scene
     colors = np.zeros((len(scene.corner_vertex), 3))

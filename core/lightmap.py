@@ -196,8 +196,8 @@ def _settle(scene, position, normal, edge, flipped, cells):
 
 
 def average_cut(scene, atlas, flipped, texels, light, cells, seed):
-    """Texels (K,) that the edge of a shadow cuts, and their light of sampled sources (C, K), the mean over all of each that the
-    chart has and nothing covers: a generator that yields (places done, all places).
+    """Texels (K,) that the edge of a shadow cuts, and their light of sampled sources (C, K), the mean over all of each
+    that the chart has and nothing covers: a generator that yields (places done, all places).
 
     light: the Light at the texels; flipped: (P,) bool, polygons whose back side's light is asked for. cells: started with
     the scene's arrays and its sources.
@@ -235,8 +235,8 @@ def _cut(texels, light):
 
 
 def _parts(atlas, texels, ids):
-    """Places within texels ids (K,), as far as their charts have them: which of the ids (N,), row of the atlas (N,), and weights
-    (N, 3) of its corners."""
+    """Places within texels ids (K,), as far as their charts have them: which of the ids (N,), row of the atlas (N,),
+    and weights (N, 3) of its corners."""
     width, height = atlas.size.max(axis=0)
     key = (texels.image[ids].astype(np.int64) * height + texels.line[ids]) * width + texels.column[ids]
     order = np.argsort(key)
@@ -431,7 +431,8 @@ def look_up(atlas, images, row, weight):
 
 
 def _of_images(texel, width, height):
-    """Numbers of texels among all images', (...), image by image: where they are one's, its number, their lines and columns."""
+    """Numbers of texels among all images', (...), image by image: where they are one's, its number, their lines and
+    columns."""
     image, place = np.divmod(texel, height * width)
     for k in np.unique(image):
         own = image == k

@@ -16,7 +16,8 @@ from .records import to_arrays
 def solve_paper(patches, surfaces, sources, sky, cells, settings):
     """Find the Solution: a generator that yields a Round after every round and returns the Solution.
 
-    sky: (C, M) exitance of the world, of each cell of its map [W/m^2]. cells: started with `kernel.scene_arrays`; a round is one patch for each.
+    sky: (C, M) exitance of the world, of each cell of its map [W/m^2]. cells: started with `kernel.scene_arrays`; a
+    round is one patch for each.
     """
     begun = perf_counter()
     count, target = 2 * len(patches), settings.error / 10

@@ -35,9 +35,10 @@ class Points:
 
     position: (P, 3) float64, where rays start but for the offset along `geometric`. normal: (P, 3) unit shading
     normals, the axis of the hemisphere. geometric: (P, 3) unit normals of the surface; light from below it counts as
-    none. area: (P,) [m^2]. object: (P,) int32. smooth: (P,) bool, not on a crease or an open edge. neighbor_start: (P + 1,) int32, neighbor: (E,) int32; the neighbors
-    of point p, joined to it by a polygon's edge, are neighbor[neighbor_start[p] : neighbor_start[p + 1]].
-    corner: (C,) int32 corners of the scene that are written. corner_point: (C,) int32 the point of each of them.
+    none. area: (P,) [m^2]. object: (P,) int32. smooth: (P,) bool, not on a crease or an open edge. neighbor_start: (P +
+    1,) int32, neighbor: (E,) int32; the neighbors of point p, joined to it by a polygon's edge, are
+    neighbor[neighbor_start[p] : neighbor_start[p + 1]]. corner: (C,) int32 corners of the scene that are written.
+    corner_point: (C,) int32 the point of each of them.
     """
 
     position: np.ndarray
@@ -174,8 +175,8 @@ def block_arrays(points, own, joined=True):
 
 
 class _Corners:
-    """The C corners of a scene that are written, of polygons that have an area: corner, vertex and polygon (C,) int32 of each;
-    wanted (P,) bool, face_normal (P, 3) and polygon_area (P,) of all polygons. flipped: see `make_points`."""
+    """The C corners of a scene that are written, of polygons that have an area: corner, vertex and polygon (C,) int32
+    of each; wanted (P,) bool, face_normal (P, 3) and polygon_area (P,) of all polygons. flipped: see `make_points`."""
 
     def __init__(self, scene, flipped):
         solid, size = scene.solid, np.diff(scene.polygon_start)

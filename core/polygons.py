@@ -86,7 +86,8 @@ def polygon_factor(points, normals, polygon):
 
 
 def _seen(ray, normal):
-    """Lambert's signed sum (K,) over what lies above the horizon of polygons given by rays to their corners, 3 times (V, K)."""
+    """Lambert's signed sum (K,) over what lies above the horizon of polygons given by rays to their corners, 3 times
+    (V, K)."""
     height = _dot(ray, normal)
     # A corner on the horizon, but for the last bits, is on it: of a polygon in the element's own plane nothing is seen,
     # also where the element lies on one of its corners.

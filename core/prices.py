@@ -81,7 +81,8 @@ def replicate_seconds(pilot):
 
 
 def control_seconds(pilot, error):
-    """Seconds that the control will take more, if an error is to be known that is not there: its doubt falls with its rays."""
+    """Seconds that the control will take more, if an error is to be known that is not there: its doubt falls with its
+    rays."""
     if pilot.estimate.total <= ENOUGH * error and error >= pilot.settings.error:
         return 0.0
     have = pilot.control_rays

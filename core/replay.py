@@ -27,9 +27,9 @@ CAUSES = ("too few shooters", "waiting", "messages", "serial host work")
 
 @dataclass(frozen=True)
 class MessageCost:
-    """What a task costs beside its own work [s]: host, per task and per byte of its arguments and result; latency, until a cell's
-    result is with the host and the next task with the cell; start_per_byte, until a cell has a byte of new arrays,
-    which all cells take in at the same time, or each in its turn."""
+    """What a task costs beside its own work [s]: host, per task and per byte of its arguments and result; latency,
+    until a cell's result is with the host and the next task with the cell; start_per_byte, until a cell has a byte of
+    new arrays, which all cells take in at the same time, or each in its turn."""
 
     host: float
     host_per_byte: float

@@ -26,9 +26,10 @@ BLOCK = 1 << 16  # and of a block, where they are more
 @dataclass(frozen=True)
 class Light:
     """Irradiance at P points [W/m^2], a row per color channel: direct (C, P) straight from sources, indirect (C, P)
-    reflected at least once; with light groups a row for each group's channels. variance: (C, P) of their sum over all groups, as the scatter between replicates shows it; 0 where nothing
-    is known. blurred: (P,) square of what the filter does to the light itself, all channels together, so that
-    its mean over many points is right (it may be negative at some). done: (P,) bool, the points that were gathered; the others have their patches' light.
+    reflected at least once; with light groups a row for each group's channels. variance: (C, P) of their sum over all
+    groups, as the scatter between replicates shows it; 0 where nothing is known. blurred: (P,) square of what the
+    filter does to the light itself, all channels together, so that its mean over many points is right (it may be
+    negative at some). done: (P,) bool, the points that were gathered; the others have their patches' light.
     """
 
     direct: np.ndarray
@@ -45,9 +46,10 @@ class Light:
 
 @dataclass(frozen=True)
 class Replicate:
-    """One independent sample of the light, by so many rays at each of the points that are asked, (P,) bool; taken: (P,) bool,
-    where that is done. (C, P) float32 each, direct light of sampled sources, light found by rays, and light
-    reflected at least once [W/m^2]; nearness: (P,) float32 mean inverse distance that the rays went, in scene diagonals."""
+    """One independent sample of the light, by so many rays at each of the points that are asked, (P,) bool; taken: (P,)
+    bool, where that is done. (C, P) float32 each, direct light of sampled sources, light found by rays, and light
+    reflected at least once [W/m^2]; nearness: (P,) float32 mean inverse distance that the rays went, in scene
+    diagonals."""
 
     rays: int
     asked: np.ndarray
@@ -144,8 +146,9 @@ def light_of_block(
 
 
 def mean_light(points, links, replicates, groups, diagonal):
-    """The light of all Replicates at N points, filtered, as arrays of a Light: {"direct", "indirect", "variance", "blurred"};
-    0 where nothing was taken. links: (E,) bool, which neighbors see one another. diagonal: of the scene [m].
+    """The light of all Replicates at N points, filtered, as arrays of a Light: {"direct", "indirect", "variance",
+    "blurred"}; 0 where nothing was taken. links: (E,) bool, which neighbors see one another. diagonal: of the scene
+    [m].
 
     The filter is linear, so it can be applied to each replicate: how their results scatter shows the noise that is
     left in the mean, filtered as it is.

@@ -70,8 +70,8 @@ SCHEMA = {
 
 
 def make_report(bake, *, scene, version, layers, domain, start, read, write, lightmaps=(), copies=None):
-    """The report (a dictionary that fits SCHEMA) of a Bake. scene: its file; start, read, write: seconds. copies: the count and
-    bytes of meshes that were copied because objects share them."""
+    """The report (a dictionary that fits SCHEMA) of a Bake. scene: its file; start, read, write: seconds. copies: the
+    count and bytes of meshes that were copied because objects share them."""
     solution, seconds, cells = bake.solution, bake.seconds, bake.cells
     phases = {k: seconds.get(k) for k in ("survey", "patches", "transport", "gather")}
     return {

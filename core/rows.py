@@ -45,8 +45,8 @@ def trace_rows(kernel, sides, rays, seed):
 
 
 def guide_rows(kernel, sides, rays, seed, light):
-    """{"guided": (C, K)} irradiance [W/m^2] that light (C, G) of the sides that rays are guided to gives patch sides (K,), by
-    so many rays over the hemisphere and as many guided ones."""
+    """{"guided": (C, K)} irradiance [W/m^2] that light (C, G) of the sides that rays are guided to gives patch sides
+    (K,), by so many rays over the hemisphere and as many guided ones."""
     guided = np.empty((len(light), len(sides)))
     light = np.column_stack([light[:, kernel.guide.order], np.zeros(len(light))])  # of all others
     for part in blocks(len(sides), 2 * rays):
@@ -204,7 +204,8 @@ def _light(kernel, sides, samples, seed):
 
 
 def _crowd(kernel, sides, samples, seed):
-    """(C, K) mean irradiance of patch sides (K,) by a crowd of sources, of which one is picked for each of so many places."""
+    """(C, K) mean irradiance of patch sides (K,) by a crowd of sources, of which one is picked for each of so many
+    places."""
     a, b, *place = _shifted(sides, samples, seed, CROWD)
     position, normal = _places(kernel, sides, *place)
     center, normal = kernel.patches.centroid[sides >> 1], np.broadcast_to(normal, position.shape)

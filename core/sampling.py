@@ -29,7 +29,8 @@ def lattice(n):
 
 
 def lattice4(n):
-    """n points in the unit 4-cube, (4, n): the golden-ratio lattice for the first two axes, the R2 sequence for the others."""
+    """n points in the unit 4-cube, (4, n): the golden-ratio lattice for the first two axes, the R2 sequence for the
+    others."""
     u, v = lattice(n)
     i = np.arange(n) + 0.5
     return np.stack([u, v, fraction(i * R2[0]), fraction(i * R2[1])])

@@ -15,8 +15,9 @@ UNTOUCHED = 60.0  # seconds: a younger leftover may be the file of a process on 
 
 @contextlib.contextmanager
 def written_whole(path, suffix=""):
-    """The path of a new file beside `path`, whose name ends in the suffix, and which takes its place in the end; if anything
-    fails, it is removed, and if the process is killed, by the next that writes `path`. What is no ordinary file (a device, a pipe) is written itself. Raises OSError with the path."""
+    """The path of a new file beside `path`, whose name ends in the suffix, and which takes its place in the end; if
+    anything fails, it is removed, and if the process is killed, by the next that writes `path`. What is no ordinary
+    file (a device, a pipe) is written itself. Raises OSError with the path."""
     if os.path.isdir(path):
         raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), path)
     ordinary = os.path.isfile(path) or not os.path.exists(path)
@@ -38,8 +39,8 @@ def written_whole(path, suffix=""):
 
 @contextlib.contextmanager
 def written_together(path, _=""):
-    """As `written_whole`, for a file that comes with others: the path of that name in a new folder. What is in the folder in
-    the end goes to where `path` is, that file last."""
+    """As `written_whole`, for a file that comes with others: the path of that name in a new folder. What is in the
+    folder in the end goes to where `path` is, that file last."""
     place = os.path.realpath(path)
     folder, name = os.path.split(place)
     temporary = f"{place}.tmp{os.getpid()}"

@@ -21,9 +21,9 @@ SALT = 29  # of the samples
 
 
 def indirect_share(scene, returned, cells, back=False):
-    """About how much of its light what is written gets by reflection, 0..1 (root mean square); rather too much where that
-    comes from few spots. returned: (M,) the most that each material sends on. cells: started with the arrays that rays need.
-    back: of the backs of faces.
+    """About how much of its light what is written gets by reflection, 0..1 (root mean square); rather too much where
+    that comes from few spots. returned: (M,) the most that each material sends on. cells: started with the arrays that
+    rays need. back: of the backs of faces.
 
     From every place goes a ray, and one more from what it meets; all of them are lit by a source each. A place and the next
     one are near each other in most meshes, so that the product of their light stands for a square, without what chance adds

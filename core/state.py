@@ -44,14 +44,15 @@ class StateError(ValueError):
 class State:
     """What a bake has found so far, of what there is at all.
 
-    prints: of the scene, see `scene_prints`. settings: its knobs; their error is the least that the survey and the solution
-    were made for. solution: perhaps unfinished; solved: the error that it was finished for, infinite before. places: arrays from which points are made again
-    without a ray, {name: array}; side: (P,) the patch side of each. gathered: replicates, and the bound of the transport
-    that each of them read, bounds. control: ids and weights of control points, drawn from each object or not; traced: their
-    truths; doubt: that of the estimate before they were last traced, since the last replicate. openness: (distance, (P,)).
-    averaged: ids (K,) of points whose light of sampled sources is that of a whole surface around them, and that light (C, K). price: the list that the
-    pilot foretold. seconds: {phase: spent so far}, and "replicates" those on `rays` gather rays. note: whoever asked for
-    the bake may leave one.
+    prints: of the scene, see `scene_prints`. settings: its knobs; their error is the least that the survey and the
+    solution were made for. solution: perhaps unfinished; solved: the error that it was finished for, infinite before.
+    places: arrays from which points are made again without a ray, {name: array}; side: (P,) the patch side of each.
+    gathered: replicates, and the bound of the transport that each of them read, bounds. control: ids and weights of
+    control points, drawn from each object or not; traced: their truths; doubt: that of the estimate before they were
+    last traced, since the last replicate. openness: (distance, (P,)). averaged: ids (K,) of points whose light of
+    sampled sources is that of a whole surface around them, and that light (C, K). price: the list that the pilot
+    foretold. seconds: {phase: spent so far}, and "replicates" those on `rays` gather rays. note: whoever asked for the
+    bake may leave one.
     """
 
     prints: dict
@@ -150,8 +151,8 @@ KINDS = {
 
 
 def scene_prints(scene):
-    """{kind: [(name, print)]} of all that light depends on in a scene: "geometry" and "reflectance" of objects, "lights" (lamps,
-    what objects emit, the world), and "written", the objects whose light is asked for."""
+    """{kind: [(name, print)]} of all that light depends on in a scene: "geometry" and "reflectance" of objects,
+    "lights" (lamps, what objects emit, the world), and "written", the objects whose light is asked for."""
     count = len(scene.objects)
     polygon = np.searchsorted(scene.polygon_object, np.arange(count + 1))
     corner = scene.polygon_start[polygon].astype(np.int64)

@@ -1,4 +1,5 @@
-"""Steep light: surfaces so near to a source that what they get changes much within a patch, and patches that are finer there.
+"""Steep light: surfaces so near to a source that what they get changes much within a patch, and patches that are finer
+there.
 
 Owns the choice of polygons whose patches are made finer. A glowing strip a hand's breadth before a wall lights a stripe of
 it many times as brightly as the room: patches wider than the stripe would spread it, and what sees it from nearby would

@@ -25,10 +25,10 @@ WELD = 1e-6  # of the scene's diagonal: vertices closer than this are one
 
 @dataclass(frozen=True)
 class Fitting:
-    """How fine a mesh is to be. max_edge: the longest edge that is left [m], as far as vertices allow it. min_edge: no edge is split that would give
-    pieces shorter than this [m]. contrast: a triangle is split where its corners' light differs by more than this share
-    of the brightest of them, or of the scene's mean if that is more. vertices: the most that there may be, as long as
-    there are not more to begin with. passes: of refinement by light."""
+    """How fine a mesh is to be. max_edge: the longest edge that is left [m], as far as vertices allow it. min_edge: no
+    edge is split that would give pieces shorter than this [m]. contrast: a triangle is split where its corners' light
+    differs by more than this share of the brightest of them, or of the scene's mean if that is more. vertices: the most
+    that there may be, as long as there are not more to begin with. passes: of refinement by light."""
 
     max_edge: float
     min_edge: float

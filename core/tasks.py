@@ -16,7 +16,8 @@ from .rows import analytic_rows, guide_rows, light_patches, trace_rows
 
 
 def wait(kernel, seconds, sizes, carried=()):
-    """Arrays of `sizes` (K,) zeros each, after some seconds, whatever is carried there: to measure messages, and to stand in for other tasks."""
+    """Arrays of `sizes` (K,) zeros each, after some seconds, whatever is carried there: to measure messages, and to
+    stand in for other tasks."""
     sleep(seconds)
     return {str(k): np.zeros(size) for k, size in enumerate(sizes)}
 

@@ -37,8 +37,8 @@ def length(a):
 
 
 def by_coordinate(a):
-    """Vectors (..., 3) as they are, but stored coordinate by coordinate: what is done to many of them then takes a third to a
-    tenth of the time, and what comes of it is stored so too."""
+    """Vectors (..., 3) as they are, but stored coordinate by coordinate: what is done to many of them then takes a
+    third to a tenth of the time, and what comes of it is stored so too."""
     return np.asfortranarray(a) if a.ndim == 2 else from_coordinates(*(a[..., k] for k in range(3)))
 
 
@@ -85,7 +85,8 @@ def numbered(rows):
 
 
 def whole_runs(start):
-    """Slices that cut the owners of start[k] to start[k + 1] of items each, start: (K + 1,), into runs of about so many items."""
+    """Slices that cut the owners of start[k] to start[k + 1] of items each, start: (K + 1,), into runs of about so many
+    items."""
     cut = np.unique(np.searchsorted(start[:-1], np.arange(start[0], max(start[-1], start[0] + 1), RUN)))
     return [slice(a, b) for a, b in zip(cut, [*cut[1:], len(start) - 1]) if a < b]
 

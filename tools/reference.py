@@ -27,8 +27,8 @@ FLAT = 0.9  # least cosine between the faces at a vertex that is not on a crease
 
 
 def bake_with_cycles(samples, seed, wanted=None):
-    """{name: (corners, 3)} irradiance / pi of every mesh object, by Cycles' vertex bake: 32 bounces, nothing clamped. wanted:
-    function of an object's name, whether it is baked."""
+    """{name: (corners, 3)} irradiance / pi of every mesh object, by Cycles' vertex bake: 32 bounces, nothing clamped.
+    wanted: function of an object's name, whether it is baked."""
     scene = bpy.context.scene
     scene.render.engine = "CYCLES"
     scene.render.threads_mode, scene.render.threads = "FIXED", 2

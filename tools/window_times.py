@@ -1,6 +1,7 @@
 """Time the extension in Blender's window: from the press of Bake to the first light on the screen and to a draft of a
-room of 10 000 vertices, with cells that have to be started and with warm ones; and the longest that Blender waits for us.
-The last bake has no 3D view to draw: what is left between two turns of ours is what the work beside the window takes from it.
+room of 10 000 vertices, with cells that have to be started and with warm ones; and the longest that Blender waits for
+us. The last bake has no 3D view to draw: what is left between two turns of ours is what the work beside the window
+takes from it.
 
 BLENDER in the environment names the program; the zip is in dist/. Needs Xvfb, xdotool and import, as the window's tests do.
 """

@@ -14,9 +14,9 @@ LONG = 15.0  # CPU seconds of a bake, which is then not repeated
 
 
 def bakes_of(name, cells, seeds, bare):
-    """What bakes of a scene to each error take, by turns, once for each seed: {kind, points, rate, bakes: [{asked, error, estimated, cpu, ...}]}, errors
-    as root mean squares over the seeds, CPU seconds as medians. bare: function that tells the rays per CPU second of the bare
-    loop, meanwhile."""
+    """What bakes of a scene to each error take, by turns, once for each seed: {kind, points, rate, bakes: [{asked,
+    error, estimated, cpu, ...}]}, errors as root mean squares over the seeds, CPU seconds as medians. bare: function
+    that tells the rays per CPU second of the bare loop, meanwhile."""
     scene, reference = opened(name), reference_of(name)
     run(bake(scene, Settings.for_error(ASKED[0]), cells))  # warms up
     found, rates = {asked: [] for asked in ASKED}, []
@@ -48,8 +48,8 @@ def bakes_of(name, cells, seeds, bare):
 
 
 def compared(ours, cycles):
-    """The costs of each of ASKED side by side, for a scene: our bakes as `bakes_of` has them, Cycles' as `figures` has them,
-    as if both were baked now and here: {"slope", "costs": [{error, ours, cycles, samples, ratio}]}."""
+    """The costs of each of ASKED side by side, for a scene: our bakes as `bakes_of` has them, Cycles' as `figures` has
+    them, as if both were baked now and here: {"slope", "costs": [{error, ours, cycles, samples, ratio}]}."""
     runs = [(r["samples"], r["error"], r["cpu"]) for r in cycles["runs"]]
     samples, errors, _ = np.array(runs).T
     costs = []

@@ -1,4 +1,5 @@
-"""What machine a measurement was made on, and how fast it is: a bare loop around Embree, which nothing here can speed up."""
+"""What machine a measurement was made on, and how fast it is: a bare loop around Embree, which nothing here can speed
+up."""
 
 from __future__ import annotations
 

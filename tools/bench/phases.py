@@ -18,10 +18,11 @@ ERROR = 0.01
 
 
 def embree_shares(name, cells, bare, runs):
-    """What transport and gather of a scene at ERROR spend inside Embree: {"transport" and "gather": {wall, cpu, embree, rays,
-    of_wall, of_cpu}, "both": the same, "rate", "bare"}. Seconds; of_wall: share of cells x wall that is inside Embree; of_cpu: the same
-    of the CPU seconds of host and cells, which other programs change less. Gather is all that comes after transport: placing
-    points, filter and estimate too. rate, bare: rays per CPU second inside Embree, and of the bare loop."""
+    """What transport and gather of a scene at ERROR spend inside Embree: {"transport" and "gather": {wall, cpu, embree,
+    rays, of_wall, of_cpu}, "both": the same, "rate", "bare"}. Seconds; of_wall: share of cells x wall that is inside
+    Embree; of_cpu: the same of the CPU seconds of host and cells, which other programs change less. Gather is all that
+    comes after transport: placing points, filter and estimate too. rate, bare: rays per CPU second inside Embree, and
+    of the bare loop."""
     scene = opened(name)
     found = [watched(scene, Settings.for_error(ERROR), cells) for _ in range(runs + 1)][1:]
     parts = {
