@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from time import thread_time
 
 import numpy as np
@@ -19,7 +18,7 @@ import numpy as np
 from .lights import BALL, FLAT, MOST_SOURCES, SHORT, effect_of
 from .polygons import polygon_factor
 from .sampling import GOLDEN, R2, fraction, morton_order, scatter, tangents
-from .vectors import by_coordinate, counted, dot, length, ratio
+from .vectors import by_coordinate, counted, cross, dot, length, ratio
 
 LARGE = 0.03  # of the scene's diagonal: a source that reaches further is tested alone, if there are not many such
 MOST_PIECES = 64  # of a larger one
@@ -480,8 +479,8 @@ def members_of(sources, diagonal):
     few = np.zeros(len(sources), bool)
     if np.count_nonzero(~endless) <= MOST_SOURCES:
         return few
-    large = np.array([s for s in np.flatnonzero(sources.kind == FLAT) if sources.reach(s) > LARGE * diagonal], np.int64)
-    given = sources.strength[large].mean(axis=1) * np.array([sources.area(s) for s in large])
+    large = np.flatnonzero(sources.reaches > LARGE * diagonal)
+    given = sources.strength[large].mean(axis=1) * sources.areas[large]
     strongest = np.argsort(-given, kind="stable")[:MOST_SOURCES]
     alone = endless.copy()
     alone[large[strongest]] = True
@@ -490,8 +489,7 @@ def members_of(sources, diagonal):
 
 def any_long(sources):
     """Whether any flat one of Sources is much longer than wide: one place on it says little of the others."""
-    flat = np.flatnonzero(sources.kind == FLAT)
-    return any(sources.reach(s) ** 2 > SLIM * sources.area(s) for s in flat)
+    return bool((sources.reaches**2 > SLIM * sources.areas)[sources.kind == FLAT].any())
 
 
 def make_crowd(sources, chosen, diagonal):
@@ -509,7 +507,6 @@ def make_crowd(sources, chosen, diagonal):
     source = np.concatenate([owner, ball])
     half = np.maximum(length(a + b), length(a - b)) / 2
     reach = np.where(square, half, np.maximum(length(a), np.maximum(length(b), length(a - b))) / 1.5)
-    cross = np.stack([a[:, i] * b[:, j] - a[:, j] * b[:, i] for i, j in ((1, 2), (2, 0), (0, 1))], axis=1)
     power = sources.strength[source].mean(axis=1)
     return Crowd(
         source=source,
@@ -521,7 +518,7 @@ def make_crowd(sources, chosen, diagonal):
         cone=sources.cone[source],
         frame=frame,
         square=square,
-        area=length(cross) * np.where(square, 1.0, 0.5),
+        area=length(cross(a, b)) * np.where(square, 1.0, 0.5),
         two_sided=sources.two_sided[owner],
         radius=sources.radius[ball],
         soft=sources.soft[ball],
@@ -531,42 +528,52 @@ def make_crowd(sources, chosen, diagonal):
 
 
 def _pieces(sources, flat, longest):
-    """Parallelograms and triangles that flat sources (K,) are cut into: the source (F,) of each, its frame (F, 3, 3) and
+    """Parallelograms and triangles that flat sources (K,) are cut into: the source (F,) of each, its frame (F, 3, 3), and
     whether it is a parallelogram (F,). Their edges are at most `longest` [m] if a few cuts do for that."""
-    owner, frames, square = [np.zeros(0, np.int64)], [np.zeros((0, 3, 3))], [np.zeros(0, bool)]
-    for s in flat:
-        corners = sources.polygon(s)
-        p, a, b = corners[0], corners[1] - corners[0], corners[-1] - corners[0]
-        whole = len(corners) == 4 and np.abs(p + a + b - corners[2]).max() <= 1e-9 * np.abs(a + b).max()
-        if whole:
-            long, wide = max(length(a), length(b)), min(length(a), length(b))
-            m = _cuts(wide, longest, int(np.sqrt(MOST_PIECES)))
-            n = _cuts(long, min(longest, LONG * wide / m), MOST_PIECES // m)
-            n, m = (n, m) if length(a) == long else (m, n)
-            i, j = (k.reshape(-1, 1) for k in np.indices((n, m)))
-            frame = np.stack(np.broadcast_arrays(p + i / n * a + j / m * b, a / n, b / m), axis=1)
-        else:
-            frame = np.concatenate([_cut(p, c - p, d - p, longest) for c, d in pairwise(corners[1:])])
-        owner.append(np.full(len(frame), s))
-        frames.append(frame)
-        square.append(np.full(len(frame), whole))
-    return tuple(np.concatenate(x) for x in (owner, frames, square))
+    start, corner = sources.corner_start[:-1][flat], sources.corner
+    sides = np.diff(sources.corner_start)[flat]
+    p, a, b = corner[start], corner[start + 1] - corner[start], corner[start + sides - 1] - corner[start]
+    far = np.abs(p + a + b - corner[start + 2]).max(axis=1)
+    whole = (sides == 4) & (far <= 1e-9 * np.abs(a + b).max(axis=1))
+    square = _cut_squares(np.stack([p, a, b], axis=1)[whole], longest)
+    cut, number = counted(np.where(whole, 0, sides - 2))
+    p, c, d = (corner[start[cut] + n] for n in (0, number + 1, number + 2))
+    triangle = _cut_triangles(np.stack([p, c - p, d - p], axis=1), longest)
+    owner = np.concatenate([flat[whole][square[0]], flat[cut][triangle[0]]])
+    return owner, np.concatenate([square[1], triangle[1]]), np.arange(len(owner)) < len(square[0])
 
 
 def _cuts(extent, longest, most):
-    """How many parts of an extent are no longer than `longest`, or `most`; one where there is no telling."""
-    return int(np.clip(np.ceil(ratio(extent, longest)), 1, most))
+    """How many parts of extents (K,) are no longer than `longest`, or `most`; one where there is no telling."""
+    return np.clip(np.ceil(ratio(extent, longest)), 1, most).astype(np.int64)
 
 
-def _cut(p, a, b, longest):
-    """(N, 3, 3) frames of the triangles that a triangle is cut into."""
+def _cut_squares(frame, longest):
+    """The parallelogram (N,) that each part is of, and the frames (N, 3, 3) of the parts that they are cut into."""
+    p, a, b = np.moveaxis(frame, 1, 0)
+    sides = np.stack([length(a), length(b)])
+    long, wide = sides.max(axis=0), sides.min(axis=0)
+    m = _cuts(wide, longest, int(np.sqrt(MOST_PIECES)))
+    n = _cuts(long, np.minimum(longest, LONG * wide / m), MOST_PIECES // m)
+    n, m = np.where(long == sides[0], (n, m), (m, n))
+    owner, number = counted(n * m)
+    n, m = n[owner, None], m[owner, None]
+    i, j = np.divmod(number[:, None], m)
+    a, b = a[owner] / n, b[owner] / m
+    return owner, np.stack([p[owner] + i * a + j * b, a, b], axis=1)
+
+
+def _cut_triangles(frame, longest):
+    """The same of triangles."""
+    p, a, b = np.moveaxis(frame, 1, 0)
     # Of a fan of slivers, as a disk is cut into, each is long, but there are many of them.
-    area = length(np.array([a[i] * b[j] - a[j] * b[i] for i, j in ((1, 2), (2, 0), (0, 1))])) / 2
-    edge = min(max(length(a), length(b), length(a - b)), 2 * np.sqrt(2 * area))
+    edge = np.minimum(np.maximum(np.maximum(length(a), length(b)), length(a - b)), 2 * np.sqrt(length(cross(a, b))))
     n = _cuts(edge, longest, int(np.sqrt(MOST_PIECES)))
-    i, j = (k.reshape(-1, 1) for k in np.indices((n, n)))
-    up, down = (i + j < n)[:, 0], (i + j < n - 1)[:, 0]
-    a, b = a / n, b / n
-    low = np.stack(np.broadcast_arrays(p + i * a + j * b, a, b), axis=1)[up]
-    high = np.stack(np.broadcast_arrays(p + (i + 1) * a + (j + 1) * b, -a, -b), axis=1)[down]
-    return np.concatenate([low, high])
+    owner, number = counted(n * n)
+    n = n[owner, None]
+    i, j = np.divmod(number[:, None], n)
+    # Half of a grid of parallelograms, and those parts of it that are turned round.
+    turned = i + j >= n
+    a, b = a[owner] / n, b[owner] / n
+    i, j, way = np.where(turned, n - i, i), np.where(turned, n - j, j), np.where(turned, -1.0, 1.0)
+    return owner, np.stack([p[owner] + i * a + j * b, way * a, way * b], axis=1)

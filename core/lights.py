@@ -12,16 +12,31 @@ from time import thread_time
 
 import numpy as np
 
+from .graphs import components
 from .polygons import polygon_factor
 from .sampling import fraction, lattice, tangents
 from .sky import split_sky
-from .vectors import TINY, by_coordinate, cross, dot, from_coordinates, length, ratio, take, unit
+from .vectors import (
+    TINY,
+    by_coordinate,
+    counted,
+    cross,
+    dot,
+    from_coordinates,
+    length,
+    numbered,
+    ratio,
+    take,
+    unit,
+)
 
 # Kinds of source: a flat polygon, a point or spot lamp, a sun, a group of bright directions of the sky.
 FLAT, BALL, SUN, SKY = 0, 1, 2, 3
 MOST_SOURCES = 32  # that are tested one by one
-MOST_FLATS = 2048  # if there are more emitting faces, all but the strongest are found by the gather rays
-MOST_MERGED = 4096  # emitting polygons beyond this number are not merged into flat sources
+MOST_FLATS = 1 << 16  # if there are more emitting faces, all but the strongest are found by the gather rays
+MOST_MERGED = 1 << 15  # emitting polygons beyond this number are not merged into flat sources
+WARPED = 1e-3  # of the root of its area that a polygon's corners may be out of its plane
+STRAIGHT = 1e-6  # of its area: a polygon's corner turns at least so much
 SLANT = 0.05  # least cosine that a flat source is picked with: its middle may be hidden by the horizon, its rim not
 NEAR = 0.08  # a patch is near a source if it reaches further than this share of the distance to it
 SHORT = 1 - 1e-5  # share of the way to a lamp that must be free: one that lies in a surface lights both of its sides
@@ -67,27 +82,22 @@ class Sources:
 
     def only(self, chosen):
         """The Sources that are chosen, (S,) bool."""
-        joined = _joined([self._one(s) for s in np.flatnonzero(chosen)])
-        return replace(joined, strength=self.strength[chosen])  # of none, too, there are as many channels
-
-    def _one(self, s):
-        alone = {f.name: getattr(self, f.name)[s : s + 1] for f in fields(self)}
-        corner = self.polygon(s)
-        return Sources(**{**alone, "corner_start": np.array([0, len(corner)], np.int32), "corner": corner})
-
-    def area(self, s):
-        """Area of FLAT source s [m^2]."""
-        return self.areas[s]
+        size, own = np.diff(self.corner_start)[chosen], np.repeat(chosen, np.diff(self.corner_start))
+        kept = {f.name: getattr(self, f.name)[chosen] for f in fields(self) if not f.name.startswith("corner")}
+        return Sources(**kept, corner_start=_starts(size), corner=self.corner[own])
 
     @cached_property
     def areas(self):
-        """Areas of all FLAT sources [m^2], a list; 0 of others."""
-        edges = ((c[1:-1] - c[:1], c[2:] - c[:1]) for c in map(self.polygon, range(len(self))))
-        return [float(length(cross(*e).sum(axis=0)) / 2) for e in edges]
+        """(S,) areas of FLAT sources [m^2]; 0 of others."""
+        return np.where(self.kind == FLAT, length(_vector_areas(self.corner_start, self.corner)), 0.0)
 
-    def reach(self, s):
-        """How far FLAT source s reaches from its center [m]."""
-        return float(length(self.polygon(s) - self.position[s]).max())
+    @cached_property
+    def reaches(self):
+        """(S,) how far FLAT sources reach from their centers [m]; 0 of others."""
+        reach = np.zeros(len(self))
+        owner = np.repeat(np.arange(len(self)), np.diff(self.corner_start))
+        np.maximum.at(reach, owner, length(self.corner - self.position[owner]))
+        return np.where(self.kind == FLAT, reach, 0.0)
 
     def polygon(self, s):
         """(V, 3) corners of FLAT source s."""
@@ -100,18 +110,12 @@ def make_sources(scene):
     An emitting polygon that is not among them is light that rays find by hitting it.
     """
     found = [_from(k, _of_lamp(lamp)) for k, lamp in enumerate(scene.lamps) if max(lamp.strength) > 0]
-    sampled = np.zeros(len(scene.polygon_material), bool)
     found += [
         _source(SKY, g.irradiance, (0,) * 3, -unit(g.directions.mean(axis=0)), radius=g.spread, corners=g.directions)
         for g in split_sky(scene.world)[1]
     ]
-    flats = sorted(_emitting_flats(scene), key=lambda flat: (-flat[2], flat[0][0]))
-    for polygons, corners, _ in flats if len(flats) <= MOST_FLATS else flats[:MOST_SOURCES]:
-        sampled[polygons] = True
-        exitance = scene.materials[scene.polygon_material[polygons[0]]].exitance
-        flat = _source(FLAT, exitance, corners.mean(axis=0), _normal(corners), two_sided=True, corners=corners)
-        found.append(_from(-2 - int(scene.polygon_object[polygons[0]]), flat))
-    return _joined(found), sampled
+    flats, sampled = _emitting_flats(scene)
+    return _joined([*found, flats]), sampled
 
 
 def emitting_polygons(scene):
@@ -197,7 +201,7 @@ def from_one_test(sources, s, position, normal, seen, a):
         return np.where(
             cut, distance * ratio(seen, (square + radius * radius * a) ** 2), ratio(seen, distance * spread)
         )
-    height, area = -dot(toward, sources.direction[s]), sources.area(s)
+    height, area = -dot(toward, sources.direction[s]), sources.areas[s]
     factor = seen * np.abs(height) * area / np.pi
     if not sources.two_sided[s]:
         factor = np.where(height > 0, factor, 0.0)
@@ -252,7 +256,7 @@ def likely_light(sources, s, position, normal):
         rise = np.maximum(ratio(dot(toward, normal), np.sqrt(square)), least)
         return strength * ratio(rise, square + sources.radius[s] ** 2) + TINY
     square = dot(toward, toward)
-    distance, area = np.sqrt(square), sources.area(s)
+    distance, area = np.sqrt(square), sources.areas[s]
     rise = np.maximum(ratio(dot(toward, normal), distance), SLANT)
     tilt = ratio(-dot(toward, sources.direction[s]), distance)
     tilt = np.abs(tilt) if sources.two_sided[s] else tilt
@@ -375,7 +379,7 @@ def _narrowed(sources, s, cosine):
 
 def _narrow_factor(sources, s, position, normal):
     """(K,) what `unoccluded` says of a FLAT source of limited spread: the sum over places all over it."""
-    aim, area = _on_polygon(sources.polygon(s), *lattice(PLACES)), sources.area(s) / PLACES
+    aim, area = _on_polygon(sources.polygon(s), *lattice(PLACES)), sources.areas[s] / PLACES
     result = np.empty(len(position))
     for first in range(0, len(position), 4096):
         part = slice(first, first + 4096)
@@ -423,12 +427,14 @@ def _from(origin, source):
 
 def _joined(found):
     """One `Sources` of many."""
-    strength = found[0].strength[0] if found else (0,) * 3
-    found = [_source(FLAT, strength, (0,) * 3, (0,) * 3)] + found  # gives an empty list its shapes
-    joined = {f.name: np.concatenate([getattr(s, f.name) for s in found])[1:] for f in fields(Sources)}
-    sizes = [len(s.corner) for s in found]
-    joined.update(corner_start=np.cumsum(sizes).astype(np.int32), corner=np.concatenate([s.corner for s in found]))
+    joined = {f.name: np.concatenate([getattr(s, f.name) for s in found]) for f in fields(Sources)}
+    joined["corner_start"] = _starts(np.concatenate([np.diff(s.corner_start) for s in found]))
     return Sources(**joined)
+
+
+def _starts(size):
+    """(S + 1,) int32 where each of S runs of so many corners (S,) begins, and where the last one ends."""
+    return np.append(0, np.cumsum(size)).astype(np.int32)
 
 
 def _of_lamp(lamp):
@@ -513,39 +519,97 @@ def _disk(a, b):
     return radius * np.cos(turn), radius * np.sin(turn)
 
 
-def _normal(corners):
-    """Unit normal of a planar polygon's corners (V, 3)."""
-    return unit(cross(corners[1:-1] - corners[0], corners[2:] - corners[0]).sum(axis=0))
+def _vector_areas(start, corner):
+    """(S, 3) vectors along the normals of planar polygons, as long as their areas; the corners of each are those from
+    start (S + 1,) of corner (C, 3) on."""
+    full = np.flatnonzero(np.diff(start))
+    owner = np.repeat(np.arange(len(start) - 1), np.diff(start))
+    following = np.arange(1, len(owner) + 1)
+    following[start[1:][full] - 1] = start[:-1][full]
+    arm = corner - corner[start[:-1][owner]]
+    twice = cross(arm, arm[following])
+    return np.stack([np.bincount(owner, x, len(start) - 1) for x in twice.T], axis=1) / 2
 
 
 def _emitting_flats(scene):
-    """Emitting polygons merged into convex flat shapes: list of (polygons (k,), corners (V, 3), power [W])."""
-    exitance = np.array([m.exitance for m in scene.materials], float).reshape(-1, 3).sum(axis=1)
-    area = np.bincount(
-        scene.triangle_polygon[scene.usable], scene.triangle_normal_area[1][scene.usable], len(scene.polygon_material)
-    )
+    """Emitting faces as FLAT Sources, and which polygons (P,) bool they stand for: in one plane they are one source, if
+    it is convex; else each polygon, or each triangle of it. If there are too many, only the strongest are sources."""
+    exitance = np.array([m.exitance for m in scene.materials], float).reshape(-1, 3)
     whole = np.array([not m.transparent for m in scene.materials], bool)  # rays find the light of others
-    normal = scene.polygon_normal
+    glows = ((exitance > 0).any(axis=1) & whole)[scene.polygon_material]
+    triangle = np.flatnonzero(scene.usable & glows[scene.triangle_polygon])
+    owner, size = scene.triangle_polygon[triangle], scene.triangle_normal_area[1][triangle]
+    area = np.bincount(owner, size, len(glows))
+    emitting, shapes = np.flatnonzero(area > 0), []
     # A polygon that folds over itself, as a bow tie does, fills less than its triangles' areas say.
-    facing, size = scene.triangle_normal_area
-    once = dot(facing, normal[scene.triangle_polygon]) * size
-    filled = np.bincount(scene.triangle_polygon[scene.usable], once[scene.usable], len(area)) > 0.999 * area
-    emitting = np.flatnonzero(((exitance > 0) & whole)[scene.polygon_material] & (area > 0) & filled)
-    flats, waiting = [], _coplanar_groups(scene, emitting, normal) if len(emitting) <= MOST_MERGED else []
-    while waiting:
-        group = waiting.pop()
-        corner = np.concatenate([np.arange(*scene.polygon_start[p : p + 2]) for p in group])
-        corners = _outline(scene.vertices[scene.corner_vertex[corner]], normal[group[0]], area[group].sum())
-        if corners is not None:
-            power = area[group].sum() * exitance[scene.polygon_material[group[0]]]
-            flats.append((group, corners, float(power)))
-        elif len(group) > 1:
-            # The outline is not convex: each polygon is a source of its own, if it can be one.
-            waiting.extend(group[:, None])
-    return flats
+    once = dot(scene.triangle_normal_area[0][triangle], scene.polygon_normal[owner]) * size
+    filled = emitting[np.bincount(owner, once, len(glows))[emitting] > 0.999 * area[emitting]]
+    if len(filled) <= MOST_MERGED:
+        sides = np.diff(scene.polygon_start)
+        groups = [g for g in _coplanar_groups(scene, filled) if len(g) > 1 or sides[g[0]] > 4]
+        shapes = [(g, _outline(_corners(scene, g), scene.polygon_normal[g[0]], area[g].sum())) for g in groups]
+        shapes = [(g, corners) for g, corners in shapes if corners is not None]
+        filled = np.setdiff1d(filled, np.concatenate([filled[:0], *(g for g, _ in shapes)]))
+    square = _squares(scene, filled, area[filled])
+    single = np.flatnonzero(~np.isin(owner, np.concatenate([square, *(g for g, _ in shapes)])))
+    # The part of each polygon: what is one source, or triangles of one polygon.
+    part = np.arange(len(glows))
+    for group, _ in shapes:
+        part[group] = group[0]
+    power = np.bincount(part, area * exitance[scene.polygon_material].sum(axis=1), len(glows))
+    strongest = np.lexsort((np.arange(len(power)), -power))
+    count = len(shapes) + len(square) + len(single)
+    rank, chosen = np.empty(len(power), np.int64), MOST_SOURCES if count > MOST_FLATS else len(power)
+    rank[strongest] = np.arange(len(power))
+
+    polygon = np.concatenate([[g[0] for g, _ in shapes], square, owner[single]]).astype(np.int64)
+    start = _starts([*(len(c) for _, c in shapes), *[4] * len(square), *[3] * len(single)])
+    corner = (scene.polygon_start[square, None] + np.arange(4)).reshape(-1)
+    corners = [scene.vertices[scene.corner_vertex[corner]], scene.vertices[scene.triangles[triangle[single]]]]
+    corner = np.concatenate([*(c for _, c in shapes), *(c.reshape(-1, 3) for c in corners)])
+    order = np.argsort(rank[part[polygon]], kind="stable")
+    order = order[rank[part[polygon[order]]] < chosen]
+    polygon = polygon[order]
+    owner, number = counted(np.diff(start)[order])
+    corner, start = corner[start[order][owner] + number], _starts(np.diff(start)[order])
+    middle = [np.bincount(owner, x, len(order)) / np.diff(start) for x in corner.T]
+    flats = Sources(
+        kind=np.full(len(order), FLAT, np.int8),
+        strength=exitance[scene.polygon_material[polygon]],
+        position=np.stack(middle, axis=1),
+        direction=unit(_vector_areas(start, corner)),
+        two_sided=np.ones(len(order), bool),
+        radius=np.zeros(len(order)),
+        soft=np.ones(len(order), bool),
+        cone=np.tile((-1.0, 0.0), (len(order), 1)),
+        corner_start=start,
+        corner=corner,
+        origin=(-2 - scene.polygon_object[polygon]).astype(np.int32),
+    )
+    sampled = np.zeros(len(glows), bool)
+    sampled[emitting] = rank[part[emitting]] < chosen
+    return flats, sampled
 
 
-def _coplanar_groups(scene, polygons, normal):
+def _corners(scene, polygons):
+    """(C, 3) the corners of polygons (K,)."""
+    corner = np.concatenate([np.arange(*scene.polygon_start[p : p + 2]) for p in polygons])
+    return scene.vertices[scene.corner_vertex[corner]]
+
+
+def _squares(scene, polygons, area):
+    """Those of polygons (K,), of areas (K,), that have four corners in a plane and are convex."""
+    four = np.diff(scene.polygon_start)[polygons] == 4
+    polygons, area = polygons[four], area[four]
+    corner = scene.vertices[scene.corner_vertex[scene.polygon_start[polygons, None] + np.arange(4)]]
+    normal = scene.polygon_normal[polygons][:, None]
+    side = np.roll(corner, -1, axis=1) - corner
+    turn = dot(cross(side, np.roll(side, -1, axis=1)), normal)
+    level = np.abs(dot(corner - corner[:, :1], normal)).max(axis=1, initial=0.0) <= WARPED * np.sqrt(area)
+    return polygons[level & (turn > STRAIGHT * area[:, None]).all(axis=1)]
+
+
+def _coplanar_groups(scene, polygons):
     """Polygons (K,) of one object, material and plane that are joined by vertices, as a list of arrays (k,)."""
     if not len(polygons):
         return []
@@ -553,22 +617,13 @@ def _coplanar_groups(scene, polygons, normal):
     owner = np.repeat(np.arange(len(polygons)), size)
     corner = np.arange(len(owner)) + np.repeat(scene.polygon_start[polygons] - np.cumsum(size) + size, size)
     place = (scene.vertices[scene.corner_vertex[corner]] - scene.bounds[0]) / max(scene.diagonal, 1e-300)
-    n = normal[polygons]
+    n = scene.polygon_normal[polygons]
     level = np.einsum("kd,kd->k", place[np.cumsum(size) - size], n)
     alike = np.column_stack(
         [scene.polygon_object[polygons], scene.polygon_material[polygons], n.round(4), level.round(5)]
     )
-    _, alike = np.unique(alike, axis=0, return_inverse=True)
-    _, joint = np.unique(np.column_stack([alike.reshape(-1)[owner], place.round(6)]), axis=0, return_inverse=True)
-    label, joint = np.arange(len(polygons)), joint.reshape(-1)
-    while True:
-        least = np.full(joint.max() + 1, len(polygons))
-        np.minimum.at(least, joint, label[owner])
-        spread = label.copy()
-        np.minimum.at(spread, owner, least[joint])
-        if (spread == label).all():
-            break
-        label = spread
+    joint = numbered(np.column_stack([numbered(alike)[owner], place.round(6)]))
+    label = components(owner, len(polygons) + joint, len(polygons) + int(joint.max()) + 1)[: len(polygons)]
     order = np.argsort(label, kind="stable")
     return np.split(polygons[order], np.flatnonzero(np.diff(label[order])) + 1)
 
@@ -581,7 +636,7 @@ def _outline(corners, normal, area):
     chain = _half_hull(flat, order)[:-1] + _half_hull(flat, order[::-1])[:-1]
     x, y = flat[chain].T
     hull = 0.5 * abs((x * np.roll(y, -1) - np.roll(x, -1) * y).sum())
-    warped = np.abs(np.einsum("kd,d->k", corners - corners[0], normal)).max() > 1e-3 * np.sqrt(hull)
+    warped = np.abs(np.einsum("kd,d->k", corners - corners[0], normal)).max() > WARPED * np.sqrt(hull)
     return None if warped or abs(hull - area) > 1e-3 * hull else corners[chain]
 
 

@@ -18,7 +18,7 @@ from cell_radiosity.core.raycast import RayCaster
 from cell_radiosity.core.settings import Settings
 from cell_radiosity.core.steep import MOST_MORE, make_fine_patches
 
-from scenes import Lamp, Material, box, join_meshes, sheet
+from scenes import Lamp, Material, Mesh, box, icosphere, join_meshes, sheet
 
 KINDS = {
     "points": dict(kind="point"),
@@ -171,6 +171,74 @@ def test_few_sources_are_no_crowd_and_suns_never_are():
     large = Lamp("area", (1.0, 1.0, 1.0), size=(2.0, 2.0))
     sources, _ = make_sources(join_meshes([], lamps=[bulb] * 33 + [large]))
     assert np.array_equal(members_of(sources, 10.0), sources.kind == BALL)
+
+
+@pytest.mark.parametrize("error", [0.02, 0.008])
+def test_glowing_ball_of_thousands_of_faces(error):
+    """A mesh of 5 120 triangles as a lamp: the light of a ball, exitance r^2 cos / d^2, in every color."""
+    ball = icosphere("ball", 0.3, 4, inward=False, material=1)
+    ball = replace(ball, vertices=ball.vertices + (0.2, 0.1, 1.0))
+    floor = sheet("floor", [(-2, -2, 0), (2, -2, 0), (2, 2, 0), (-2, 2, 0)], 20, 20)
+    materials = (Material("floor", (0, 0, 0)), Material("ball", (0, 0, 0), (20.0, 10.0, 5.0)))
+    scene = join_meshes([floor, ball], materials, written=[True, False])
+    baked = run(bake(scene, Settings(error=error), LocalCells()))
+    toward = np.array((0.2, 0.1, 1.0)) - baked.points.position
+    square = (toward**2).sum(axis=1)
+    shown = scene.triangle_normal_area[1][scene.polygon_material[scene.triangle_polygon] == 1].sum() / 4 / np.pi
+    light = np.array((20.0, 10.0, 5.0))[:, None] * shown * toward[:, 2] / square**1.5
+    area, found = baked.points.area, baked.light.direct + baked.light.indirect
+    assert baked.converged
+    assert np.sqrt((area * (found - light) ** 2).sum() / (area * light**2).sum()) < error
+    np.testing.assert_allclose((area * found).sum(axis=1), (area * light).sum(axis=1), rtol=2e-3)
+
+
+def faces(corners, polygons):
+    """Flat sources of glowing faces, and which of them those are."""
+    mesh = Mesh.of_polygons("glow", corners, polygons)
+    return make_sources(join_meshes([mesh], [Material("glow", (0, 0, 0), (1.0, 1.0, 1.0))]))
+
+
+def test_faces_are_sources_whatever_their_shape():
+    """In one plane they are one, if that is convex; a warped one is the triangles that rays meet; a fold is not wider than
+    it is."""
+    square = [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)]
+    grid = [(x, y, 0) for y in range(3) for x in range(3)]
+    quads = [[0, 1, 4, 3], [1, 2, 5, 4], [3, 4, 7, 6], [4, 5, 8, 7]]
+    for corners, polygons, areas in (
+        (square, [[0, 1, 2, 3]], [1.0]),
+        ([*square[:3], (0, 1, 0.2)], [[0, 1, 2, 3]], [0.5, 0.5 * (1 + 2 * 0.2**2) ** 0.5]),
+        ([*square[:3], (0.9, 0.1, 0)], [[0, 1, 2, 3]], None),  # an arrowhead
+        ([(np.cos(t), np.sin(t), 0) for t in np.arange(8) * np.pi / 4], [list(range(8))], [8 * 2**-0.5 / 2]),
+        (grid, quads, [4.0]),
+        (grid, quads[:3], [1.0, 1.0, 1.0]),
+        ([square[0], square[2], square[1], square[3]], [[0, 1, 2, 3]], None),  # a bow tie
+    ):
+        sources, sampled = faces(corners, polygons)
+        assert sampled.all()
+        if areas:
+            np.testing.assert_allclose(np.sort(sources.areas), np.sort(areas), rtol=1e-9)
+        assert np.isclose(
+            sources.areas.sum(), join_meshes([Mesh.of_polygons("", corners, polygons)]).triangle_normal_area[1].sum()
+        )
+        assert (sources.reaches >= np.sqrt(sources.areas / np.pi)).all()
+        first = sources.only(np.arange(len(sources)) == len(sources) - 1)
+        assert np.array_equal(first.polygon(0), sources.polygon(len(sources) - 1))
+
+
+def test_pieces_fill_their_sources(monkeypatch, rng):
+    """Each point of a source lies in one piece of it: area and center are kept, and so are the edges' lengths in bounds."""
+    corners = rng.uniform(size=(40, 3, 3))
+    far = corners[:, 1] + corners[:, 2] - corners[:, 0]
+    quads = np.stack([corners[:, 0], corners[:, 1], far, corners[:, 2]], axis=1)
+    for shapes in (corners, quads):
+        sources, _ = faces(shapes.reshape(-1, 3), np.arange(shapes[..., 0].size).reshape(len(shapes), -1).tolist())
+        crowd = make_crowd(sources, np.ones(len(sources), bool), 3.0)
+        assert len(crowd) > 3 * len(sources)
+        area = np.bincount(crowd.source, crowd.area)
+        np.testing.assert_allclose(area, sources.areas)
+        middle = np.stack([np.bincount(crowd.source, crowd.area * x) for x in crowd.center.T], axis=1) / area[:, None]
+        np.testing.assert_allclose(middle, sources.position, atol=1e-9)
+        assert crowd.reach.max() < 0.5 * sources.reaches.max()
 
 
 def tube(gap):
