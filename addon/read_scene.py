@@ -7,6 +7,7 @@ in the file is changed.
 from __future__ import annotations
 
 from collections import Counter
+from ctypes import c_int32
 from dataclasses import dataclass, replace
 from math import inf
 from time import perf_counter
@@ -24,7 +25,7 @@ from .lamps import read_lamp, read_visibility
 from .marks import is_made, originals_shown
 from .material_setup import passed_by
 from .materials import NotConstant, read_alpha, read_material, read_pixels, viewport_material
-from .steps import aside
+from .steps import aside, in_steps
 from .world_read import read_world
 
 NOT_WRITTEN = "its light was not written"
@@ -38,8 +39,8 @@ class Target:
     """Where the light of one object of the scene goes.
 
     object: name of the Blender object as it was read; uid: Blender's number for it, whatever it is called. first, last:
-    its corners in the scene, first to last. corner: (last - first,) number of each of them in the evaluated mesh. same:
-    the evaluated mesh has the corners of the object's own mesh.
+    its corners in the scene, first to last. corner: (last - first,) number of each of them in the evaluated mesh. vertex:
+    (last - first,) of each corner of that mesh; vertices: how many it has. same: it has the corners of the object's own.
     """
 
     object: str
@@ -47,6 +48,8 @@ class Target:
     first: int
     last: int
     corner: np.ndarray
+    vertex: np.ndarray
+    vertices: int
     same: bool
 
 
@@ -82,17 +85,17 @@ def _reading(context, wanted, shared, spacing, step):
     scene = depsgraph.scene
     names = [p.original.name for p in placed]
     meshes = yield from aside(step, lambda: [p.shape.placed(name, p.matrix) for p, name in zip(placed, names)])
+    orders = yield from aside(step, lambda: [p.shape.corner_order(mirrored(p.matrix)) for p in placed])
 
     corner = np.concatenate([[0], np.cumsum([len(m.corner_vertex) for m in meshes])]).astype(int)
     users = Counter(o.data for o in bpy.data.objects if o.type == "MESH") if shared == "skip" else Counter()
     written = [p.own and _writable(p.original, users, reader.health) for p in placed]
-    targets = tuple(
-        Target(
-            p.original.name, p.original.session_uid, corner[k], corner[k + 1], p.order, p.shape.same_as(p.original.data)
-        )
-        for k, p in enumerate(placed)
-        if written[k]
-    )
+    targets = []
+    for k in np.flatnonzero(written):
+        original, shape = placed[k].original, placed[k].shape
+        same = yield from in_steps(shape.same_as(original.data), step)
+        own = orders[k], shape.corner_vertex, len(shape.vertices)
+        targets.append(Target(original.name, original.session_uid, corner[k], corner[k + 1], *own, same))
     hidden = _hidden(scene, depsgraph, rendered)
     world, suns = read_world(context, scene.world and scene.world.original, reader.ignored)
     yield
@@ -101,8 +104,8 @@ def _reading(context, wanted, shared, spacing, step):
         textures=tuple(reader.textures), shared=np.unique([id(p.shape) for p in placed], return_inverse=True)[1],
         health=tuple(reader.health + hidden),
     )  # fmt: skip
-    readings = _read_others(context, context.evaluated_depsgraph_get(), reader, joined, placed, corner, spacing)
-    return replace(joined, readings=readings, ignored=tuple(dict.fromkeys(reader.ignored))), targets
+    readings = _read_others(context, context.evaluated_depsgraph_get(), reader, joined, placed, orders, corner, spacing)
+    return replace(joined, readings=readings, ignored=tuple(dict.fromkeys(reader.ignored))), tuple(targets)
 
 
 def _place(depsgraph, rendered, reader, wanted, lamps, placed, deadline):
@@ -129,16 +132,18 @@ def _place(depsgraph, rendered, reader, wanted, lamps, placed, deadline):
                 if news and perf_counter() > deadline:
                     return False
                 news += 1
+                if not reader.read(object, deadline):
+                    return False
             shape = reader.shape(object)
             if shape is None:
                 continue
             own = not instance.is_instance and original.type == "MESH" and (wanted is None or wanted(original.name))
-            placed.append(_Placed(original, shape, matrix, own, shape.corner_order(mirrored(matrix))))
+            placed.append(_Placed(original, shape, matrix, own))
     return True
 
 
-def _read_others(context, depsgraph, reader, scene, placed, corner, spacing):
-    """The Readings of all surfaces whose material is not understood, or None."""
+def _read_others(context, depsgraph, reader, scene, placed, orders, corner, spacing):
+    """The Readings of all surfaces whose material is not understood, or None. orders: of the corners of each placed."""
     if not reader.unread:
         return None
     unread = np.isin(scene.polygon_material, list(reader.unread))[scene.triangle_polygon] & scene.usable
@@ -151,7 +156,7 @@ def _read_others(context, depsgraph, reader, scene, placed, corner, spacing):
         corners = scene.triangle_corner[numbers]
         jobs.append(
             Unread(
-                placed[k].original.evaluated_get(depsgraph), Matrix(placed[k].matrix), placed[k].order[corners - corner[k]],
+                placed[k].original.evaluated_get(depsgraph), Matrix(placed[k].matrix), orders[k][corners - corner[k]],
                 numbers, scene.triangle_normal_area[1][numbers], corners,
             )
         )  # fmt: skip
@@ -165,27 +170,28 @@ def _read_others(context, depsgraph, reader, scene, placed, corner, spacing):
 
 @dataclass(frozen=True)
 class _Placed:
-    """A shape where an object or instance stands. own: it is an object whose light is asked for; order: see _Shape."""
+    """A shape where an object or instance stands. own: it is an object whose light is asked for."""
 
     original: object
     shape: object
     matrix: np.ndarray
     own: bool
-    order: np.ndarray
 
 
 @dataclass(frozen=True)
 class _Shape:
-    """A mesh in its own space, as Blender's arrays, float32. corner arrays are in Blender's order."""
+    """A mesh in its own space, as Blender's arrays, float32. corner arrays are in Blender's order. normal: of every
+    corner, vertex or polygon, as normals_domain says; uv_maps: {number of a material with an image: (C, 2)}."""
 
-    vertices: np.ndarray
     polygon_start: np.ndarray
+    vertices: np.ndarray
     corner_vertex: np.ndarray
-    corner_normal: np.ndarray
+    normals_domain: str
+    normal: np.ndarray
     triangle_corner: np.ndarray
     triangle_polygon: np.ndarray
     polygon_material: np.ndarray
-    corner_uv: np.ndarray | None
+    uv_maps: dict
 
     def corner_order(self, backward):
         """(C,) Blender's number of each corner in the order of the scene: a mirrored object's polygons run backward."""
@@ -202,11 +208,14 @@ class _Shape:
         order = self.corner_order(flip)
         with np.errstate(invalid="ignore", over="ignore"):
             vertices = np.einsum("ij,kj->ki", linear, self.vertices.astype(float)) + offset
-            normal = np.einsum("ij,kj->ki", _cofactor(linear), self.corner_normal.astype(float)) * (
-                -1.0 if flip else 1.0
-            )
+            normal = np.einsum("ij,kj->ki", _cofactor(linear), self.normal.astype(float)) * (-1.0 if flip else 1.0)
             length = np.sqrt((normal * normal).sum(axis=1, keepdims=True))
             normal = np.where(length > 0, normal / np.where(length > 0, length, 1.0), 0.0)
+        if self.normals_domain == "POINT":
+            normal = np.take(normal, self.corner_vertex, axis=0)
+        elif self.normals_domain == "FACE":
+            normal = np.repeat(normal, np.diff(self.polygon_start), axis=0)
+        uv = self._corner_uv()
         place = np.empty(len(order), np.int64)
         place[order] = np.arange(len(order))
         return Mesh(
@@ -218,16 +227,29 @@ class _Shape:
             triangle_corner=place[self.triangle_corner[:, ::-1] if flip else self.triangle_corner],
             triangle_polygon=self.triangle_polygon,
             polygon_material=self.polygon_material,
-            corner_uv=None if self.corner_uv is None else self.corner_uv[order],
+            corner_uv=None if uv is None else uv[order],
         )
 
+    def _corner_uv(self):
+        """(C, 2) place of every corner in its material's texture, or None if no material has one."""
+        if not self.uv_maps:
+            return None
+        uv = np.zeros((len(self.corner_vertex), 2))
+        material = np.repeat(self.polygon_material, np.diff(self.polygon_start))
+        for number, values in self.uv_maps.items():
+            chosen = material == number
+            uv[chosen] = values[chosen]
+        return uv
+
     def same_as(self, mesh):
-        """Whether a Blender mesh has the same polygons of the same vertices."""
+        """Whether a Blender mesh has the same polygons of the same vertices: a generator that yields between looks."""
         if len(mesh.loops) != len(self.corner_vertex) or len(mesh.polygons) != len(self.polygon_start) - 1:
             return False
-        return np.array_equal(_corner_vertex(mesh), self.corner_vertex) and np.array_equal(
-            _polygon_start(mesh), self.polygon_start
-        )
+        for own, look in ((self.corner_vertex, _corner_vertex), (self.polygon_start, _polygon_start)):
+            yield
+            if not np.array_equal(look(mesh), own):
+                return False
+        return True
 
 
 def mirrored(matrix):
@@ -247,55 +269,71 @@ class _Reader:
     def __init__(self):
         self.materials, self.textures, self.ignored, self.health = [], [], [], []
         self.unread = set()
-        self._numbers, self._images, self._uv_maps, self._shapes = {}, {}, {}, {}
+        self._numbers, self._images, self._uv_maps, self._shapes, self._begun = {}, {}, {}, {}, {}
 
     def shape(self, object):
-        """The _Shape of an evaluated object; None if it has no polygons. Instances of one mesh share it."""
-        key = _shape_key(object)
-        if key not in self._shapes:
-            mesh = object.to_mesh()
-            self._shapes[key] = self._read(object, mesh) if mesh is not None and len(mesh.polygons) else None
-            object.to_mesh_clear()
-        return self._shapes[key]
+        """The _Shape of an evaluated object that was read; None if it has no polygons. Instances of one mesh share it."""
+        return self._shapes[_shape_key(object)]
 
     def knows(self, object):
         """Whether an evaluated object's shape has been read."""
         return _shape_key(object) in self._shapes
 
-    def _read(self, object, mesh):
-        polygon_start = _polygon_start(mesh)
-        corner, polygon = _triangles(mesh, polygon_start)
-        normal = np.empty(3 * len(mesh.loops), np.float32)
-        mesh.corner_normals.foreach_get("vector", normal)
-        return _Shape(
-            vertices=_values(mesh.attributes["position"].data, "vector", 3 * len(mesh.vertices)).reshape(-1, 3),
-            polygon_start=polygon_start,
-            corner_vertex=_corner_vertex(mesh),
-            corner_normal=normal.reshape(-1, 3),
-            triangle_corner=corner,
-            triangle_polygon=polygon,
-            polygon_material=(material := self._polygon_materials(object, mesh)),
-            corner_uv=self._corner_uv(object, mesh, material),
-        )
+    def read(self, object, deadline):
+        """Read the shape of an evaluated object, or go on with it; False if after the deadline there is more to read.
+        What must be made of its object first (a curve, a text) is read at once."""
+        key = _shape_key(object)
+        mesh, found = object.to_mesh(), self._begun.setdefault(key, {})
+        try:
+            if mesh is None or not len(mesh.polygons):
+                self._shapes[key] = None
+                return True
+            for name, read in self._parts(object, mesh, found):
+                if name not in found:
+                    found[name] = read()
+                    if perf_counter() > deadline and object.type == "MESH":
+                        return False
+        finally:
+            object.to_mesh_clear()
+        self._shapes[key] = _Shape(**self._begun.pop(key))
+        return True
 
-    def _corner_uv(self, object, mesh, polygon_material):
-        """(C, 2) place of every corner in its material's texture, or None if no material has one."""
-        maps = {number: self._uv_maps[number] for number in np.unique(polygon_material) if number in self._uv_maps}
-        if not maps:
-            return None
-        uv = np.zeros((len(mesh.loops), 2))
-        material = np.repeat(polygon_material, np.diff(_polygon_start(mesh)))
-        for number, name in maps.items():
-            layer = mesh.uv_layers.get(name) or next((m for m in mesh.uv_layers if m.active_render), None)
+    def _parts(self, object, mesh, found):
+        """What a _Shape is made of, as pairs of a field and a function that reads it; found: {field: what was read}."""
+        # Where normals go with vertices or polygons, Blender need not copy them to corners first.
+        domain = mesh.normals_domain
+        normals = {"POINT": mesh.vertex_normals, "FACE": mesh.polygon_normals, "CORNER": mesh.corner_normals}[domain]
+        vertices = mesh.attributes["position"].data
+        return (
+            ("polygon_start", lambda: _polygon_start(mesh)),
+            ("vertices", lambda: _values(vertices, "vector", 3 * len(mesh.vertices)).reshape(-1, 3)),
+            ("corner_vertex", lambda: _corner_vertex(mesh)),
+            ("normals_domain", lambda: domain),
+            ("normal", lambda: _values(normals, "vector", 3 * len(normals)).reshape(-1, 3)),
+            ("triangle_corner", lambda: _triangle_corners(mesh)),
+            ("triangle_polygon", lambda: _values(mesh.loop_triangle_polygons, "value", len(mesh.loop_triangles), np.int32)),
+            ("polygon_material", lambda: self._polygon_materials(object, mesh)),
+            ("uv_maps", lambda: self._read_uv_maps(object, mesh, found["polygon_material"])),
+        )  # fmt: skip
+
+    def _read_uv_maps(self, object, mesh, polygon_material):
+        """{number of a material with an image: (C, 2) place of every corner in it}, of the mesh's materials."""
+        found = {}
+        for number in np.unique(polygon_material):
+            if number not in self._uv_maps:
+                continue
+            layer = mesh.uv_layers.get(self._uv_maps[number]) or next(
+                (m for m in mesh.uv_layers if m.active_render), None
+            )
             if layer is None:
                 text = f"its material {self.materials[number].name} has an image, but the mesh has no UV map"
                 self.health.append(
                     Finding(object.original.name, text, "the image's first pixel was taken, as Cycles does")
                 )
+                found[number] = np.zeros((len(mesh.loops), 2), np.float32)
             else:
-                chosen = material == number
-                uv[chosen] = _values(layer.uv, "vector", 2 * len(mesh.loops)).reshape(-1, 2)[chosen]
-        return uv
+                found[number] = _values(layer.uv, "vector", 2 * len(mesh.loops)).reshape(-1, 2)
+        return found
 
     def _polygon_materials(self, object, mesh):
         """(P,) number of each polygon's material among all that were read."""
@@ -371,15 +409,9 @@ def _values(data, name, count, dtype=np.float32):
     return values
 
 
-def _triangles(mesh, polygon_start):
-    """Corners (T, 3) and polygon (T,) of a mesh's triangles. Blender takes longer to tell them than all else of a mesh,
-    so it is not asked where there are no others."""
-    if (np.diff(polygon_start) == 3).all():
-        return np.arange(polygon_start[-1], dtype=np.int32).reshape(-1, 3), np.arange(
-            len(mesh.polygons), dtype=np.int32
-        )
-    corner = _values(mesh.loop_triangles, "loops", 3 * len(mesh.loop_triangles), np.int32)
-    return corner.reshape(-1, 3), _values(mesh.loop_triangle_polygons, "value", len(corner) // 3, np.int32)
+def _triangle_corners(mesh):
+    """(T, 3) corners of a mesh's triangles."""
+    return _in_memory(mesh.loop_triangles, "loops", 3).reshape(-1, 3)
 
 
 def _corner_vertex(mesh):
@@ -387,9 +419,21 @@ def _corner_vertex(mesh):
 
 
 def _polygon_start(mesh):
-    start = np.empty(len(mesh.polygons), np.int32)
-    mesh.polygons.foreach_get("loop_start", start)
-    return np.append(start, len(mesh.loops)).astype(np.int32)
+    return np.append(_in_memory(mesh.polygons, "loop_start", 1), np.int32(len(mesh.loops)))
+
+
+def _in_memory(items, name, size):
+    """(K * size,) int32 values of Blender's items, of which each is nothing else. Blender would tell them one by one; they
+    are copied where they lie if they lie as they should, one after the other."""
+    count = len(items)
+    if count > 1:
+        first, last = items[0].as_pointer(), items[count - 1].as_pointer()
+        if last - first == 4 * size * (count - 1):
+            values = np.frombuffer((c_int32 * (count * size)).from_address(first), np.int32).copy()
+            ends = [np.ravel(getattr(items[k], name)) for k in (0, count - 1)]
+            if np.array_equal(values[:size], ends[0]) and np.array_equal(values[-size:], ends[1]):
+                return values
+    return _values(items, name, count * size, np.int32)
 
 
 def rendered_names(scene):

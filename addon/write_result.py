@@ -47,7 +47,7 @@ def write_result(context, colors, targets, domain):
 
 
 def writing_result(context, colors, targets, domain, encoded=(), channel=None, step=inf):
-    """`write_result` in steps of some `step` seconds: a generator that yields before each object.
+    """`write_result` in steps of some `step` seconds: a generator that yields before each layer of each object.
 
     encoded: names of the layers that are written as 8-bit colors. channel: (attribute, number of its channel, (C,)
     values), to be written into an attribute that is there.
@@ -59,27 +59,36 @@ def writing_result(context, colors, targets, domain, encoded=(), channel=None, s
         # What needs no Blender comes first: in the turns that it takes the mesh may go.
         own = yield from aside(step, _layers_of_target, target, colors, domain)
         filled = channel and (*channel[:2], _of_target(target, channel[2]))
-        mesh = _place(context, target, copies.get(target.object))
-        if isinstance(mesh, Finding):
-            findings.append(mesh)
+        for layer in own:
+            yield
+            holder = _place(context, target, copies.get(target.object))
+            if isinstance(holder, Finding):
+                findings.append(holder)
+                break
+            if not target.same:  # it is a copy, perhaps a new one
+                copies[target.object] = holder.name
+            _write_layer(holder.data, layer, domain, own[layer], layer in encoded)
+            mark_layers(holder.data, [layer])
         else:
-            _write_ready(mesh, own, domain, encoded, filled)
+            _finish(holder.data, next(iter(own)), filled)
     return tuple(findings)
 
 
 def write_layers(mesh, colors, domain, encoded=(), channel=None):
     """Write layers {name: (K, 3) color of every corner of the mesh}; the others as for `writing_result`."""
-    _write_ready(mesh, {layer: _ready(values, domain) for layer, values in colors.items()}, domain, encoded, channel)
-
-
-def _write_ready(mesh, colors, domain, encoded, channel):
-    """`write_layers` of colors that are `_ready`."""
     for layer, values in colors.items():
-        _write_layer(mesh, layer, domain, values, "BYTE_COLOR" if layer in encoded else "FLOAT_COLOR")
+        if domain == "POINT":
+            values = vertex_means(values, _corner_vertices(mesh), len(mesh.vertices))
+        _write_layer(mesh, layer, domain, _ready(values), layer in encoded)
     mark_layers(mesh, colors)
+    _finish(mesh, next(iter(colors)), channel)
+
+
+def _finish(mesh, shown, channel):
+    """Fill the channel of a mesh that has its layers, and show one of them."""
     if channel:
         _write_channel(mesh, *channel)
-    mesh.color_attributes.active_color = mesh.color_attributes[next(iter(colors))]
+    mesh.color_attributes.active_color = mesh.color_attributes[shown]
     mesh.update()
 
 
@@ -171,8 +180,8 @@ def _changed(target):
 
 
 def _place(context, target, copy_name):
-    """The mesh that takes a target's light, made if need be; a Finding if the object is not what was read. copy_name:
-    of the copy that holds its last result, or None."""
+    """The object whose mesh takes a target's light, made if need be; a Finding if the object is not what was read.
+    copy_name: of the copy that holds its last result, or None."""
     scene = context.scene
     object = object_of(scene, target)
     if object is None:
@@ -187,14 +196,14 @@ def _place(context, target, copy_name):
                 bpy.data.meshes.remove(mesh)
                 return _changed(target)
             copy = _result_copy(scene, object, mesh, copy)
-        return copy.data
+        return copy
     if len(object.data.loops) != corners or object.mode == "EDIT":
         return _changed(target)
     if copy is not None:
         remove_copy(scene, copy)
     if object.data.users - object.data.use_fake_user > 1:
         object.data = object.data.copy()
-    return object.data
+    return object
 
 
 def _of_target(target, values):
@@ -206,28 +215,29 @@ def _of_target(target, values):
 
 def _layers_of_target(target, colors, domain):
     """{layer: those of the scene's corner values that are a target's, ready to be written}."""
-    return {layer: _ready(_of_target(target, values), domain) for layer, values in colors.items()}
-
-
-def _ready(values, domain):
-    """Corner values (K, 3) as an attribute on corners takes them, (K, 4) float32; as they are for one on vertices."""
+    own = {layer: _of_target(target, values) for layer, values in colors.items()}
     if domain == "POINT":
-        return values
+        own = {layer: vertex_means(values, target.vertex, target.vertices) for layer, values in own.items()}
+    return {layer: _ready(values) for layer, values in own.items()}
+
+
+def _ready(values):
+    """Colors (K, 3) as an attribute takes them, (K, 4) float32."""
     rgba = np.ones((len(values), 4), np.float32)
     np.minimum(values, BRIGHTEST, out=rgba[:, :3], casting="same_kind")
     return rgba
 
 
-def _write_layer(mesh, layer, domain, values, kind="FLOAT_COLOR"):
-    """Put corner values that are `_ready` into the mesh's color attribute `layer`, made anew if it is of another kind."""
+def _write_layer(mesh, layer, domain, values, encoded):
+    """Put values that are `_ready` into the mesh's color attribute `layer`, made anew if it is of another kind. encoded:
+    it holds 8-bit colors."""
+    kind = "BYTE_COLOR" if encoded else "FLOAT_COLOR"
     attribute = mesh.color_attributes.get(layer)
     if attribute is not None and (attribute.domain != domain or attribute.data_type != kind):
         mesh.color_attributes.remove(attribute)
         attribute = None
     if attribute is None:
         attribute = mesh.color_attributes.new(layer, kind, domain)
-    if domain == "POINT":
-        values = _ready(vertex_means(values, _corner_vertices(mesh), len(mesh.vertices)), "CORNER")
     attribute.data.foreach_set("color", values.reshape(-1))
 
 

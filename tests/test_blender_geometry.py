@@ -349,3 +349,19 @@ def test_triangles_are_blenders_own(split):
         first = scene.polygon_start[np.flatnonzero(scene.polygon_object == k)[0]]
         assert (scene.triangle_corner[own] - first).tolist() == expected[name]
         assert len(expected[name]) > 1
+
+
+@pytest.mark.parametrize("shading", ["FACE", "POINT", "CORNER"])
+def test_normals_are_blenders_own(shading):
+    """Of flat and smooth meshes, and of one with a sharp edge, also of a mirrored object, whose polygons run backward."""
+    empty()
+    box = cube(scale=(-1, 1, 1))
+    mesh = box.data
+    if shading != "FACE":
+        mesh.shade_smooth()
+    if shading == "CORNER":
+        mesh.edges[0].use_edge_sharp = True
+    assert mesh.normals_domain == shading
+    expected = np.array([n.vector[:] for n in mesh.corner_normals]) * (-1, 1, 1)
+    order = np.concatenate([list(p.loop_indices)[::-1] for p in mesh.polygons])
+    np.testing.assert_allclose(read().corner_normal, expected[order], atol=1e-6)

@@ -9,7 +9,7 @@ import pytest
 from cell_radiosity.addon.job import Job, Options
 from cell_radiosity.core.bake import run
 
-from blender_scenes import colors, cube, empty, lamp, plane
+from blender_scenes import colors, cube, diffuse, empty, lamp, plane
 
 
 @pytest.fixture
@@ -41,6 +41,31 @@ def test_reading_in_steps_gives_the_same_scene(room, cells):
     assert stepwise.scene.objects == whole.scene.objects
     for name in ("vertices", "triangles", "corner_normal", "polygon_material", "written"):
         assert np.array_equal(getattr(stepwise.scene, name), getattr(whole.scene, name))
+
+
+def test_one_mesh_is_read_and_written_in_several_steps(cells):
+    """However large it is: no turn takes all of it."""
+    empty()
+    painted = diffuse("painted", (0.5, 0.5, 0.5))
+    tree = painted.node_tree
+    image = tree.nodes.new("ShaderNodeTexImage")
+    image.image = bpy.data.images.new("gray", 4, 4)
+    tree.links.new(image.outputs["Color"], tree.nodes["Diffuse BSDF"].inputs["Color"])
+    floor = plane(material=painted)
+    uv = [v.co.xy[:] for v in floor.data.vertices]
+    floor.data.uv_layers.new().data.foreach_set("uv", np.ravel([uv[c.vertex_index] for c in floor.data.loops]))
+    lamp("POINT", location=(1.0, 1.0, 3.0))
+    bpy.context.view_layer.update()
+    whole = job_of(cells, layers=("Radiosity", "Lighting"))
+    stepwise = Job(bpy.context, Options(error=0.1), cells=cells, read=False)
+    assert sum(1 for _ in stepwise.reading(bpy.context, step=0.0)) > 10
+    assert np.array_equal(stepwise.scene.corner_uv, whole.scene.corner_uv)
+    assert len(np.unique(whole.scene.corner_uv, axis=0)) == 25
+    run(whole.bake())
+    seen = []
+    for _ in whole.writing(bpy.context, step=0.0):
+        seen.append([a.name for a in bpy.data.meshes["plane"].color_attributes])
+    assert ["Radiosity"] in seen
 
 
 def test_a_bake_that_ends_early_leaves_the_last_result(room, cells):
