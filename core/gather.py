@@ -18,7 +18,7 @@ import numpy as np
 from .anew import edge_arrays, read_light, read_reflected
 from .guide import NOTHING, Aim, guide_samples
 from .kernel import blocks
-from .lights import FLAT, test_rays, unlike, unoccluded
+from .lights import FLAT, SUN, test_rays, unlike, unoccluded
 from .points import Block, block_arrays
 from .records import to_arrays
 from .replicates import PARTS, WHOLE, Light, Replicate, block_of_light, light_blocks, light_of_block, mean_light
@@ -38,6 +38,9 @@ SEEDS = 1 << 20  # between the seeds of replicates
 GUIDED_SHARE = 0.25  # guided rays, if there are any, for each ray over the hemisphere
 
 TESTS = 4  # test rays toward a source, before it is known whether it is partly hidden
+NARROW = 0.02  # sine of the half angle up to which a sun is narrow: most points see all of it or nothing
+RIM_SHARE = 0.98  # of the sun's disk lies within that rim
+RIM = 4  # test rays to a narrow sun's rim: an edge that hides 0.1 to 0.9 of the sun lets some through and not all
 MAIN = 0.25  # share of a point's light from which on a source gets all of them
 UNLIKE = 6  # times as many where the parts of the source do not shine alike
 PENUMBRA = 1.5  # more test rays where it is, as a multiple of the gather rays
@@ -348,12 +351,15 @@ def _direct(kernel, points, rays, tests, seed):
     here, there = points.edges
     origin = kernel.caster.start(position, geometric)
 
-    def test(s, who, after, count):
+    def test(s, who, after, count, rim=False):
         """Sums of the weights (K,) of `count` (K,) test rays of each of `who` (K,), from number `after` (K,) on, and of
-        those that get through."""
+        those that get through. rim: they are to go to the rim of a sun, evenly spaced."""
         owner, number = counted(count)
         rows = who[owner]
-        a, b = _test_places(ids[rows], after[owner] + number, s, seed)
+        if rim:
+            a, b = _rim_places(ids[rows], number, s, seed)
+        else:
+            a, b = _test_places(ids[rows], after[owner] + number, s, seed)
         each = (
             np.take(x, rows, axis=0) for x in (position, normal, geometric, origin)
         )  # a seventh of the time of x[rows]
@@ -367,7 +373,7 @@ def _direct(kernel, points, rays, tests, seed):
     first = np.stack([_tests(kernel, s, position, share[:, s], tests) for s in range(len(sources))], axis=1)
     # What few tests take for lit whole may be hidden by a hundredth: with more rays, or in the sun of a dim room, that would be
     # most of the error.
-    sharp = np.array([_sharp(kernel, s) for s in range(len(sources))])
+    sharp, narrow = (np.array([f(kernel, s) for s in range(len(sources))]) for f in (_sharp, _narrow))
     bright = np.clip(possible / max(float(kernel.arrays["gather.level"]), 1e-300), 1.0, MOST_TESTS)
     often = np.maximum(first * bright, rays * tests / UNSEEN * np.sqrt(share)).astype(np.int64)
     first = np.where(sharp, first, often)
@@ -375,7 +381,8 @@ def _direct(kernel, points, rays, tests, seed):
     for s in range(len(sources)):
         lit = np.flatnonzero(factor[:, s] > 0)
         if len(lit):
-            weight[lit, s], seen[lit, s] = test(s, lit, np.zeros(len(lit), np.int64), first[lit, s])
+            count = np.full(len(lit), RIM) if narrow[s] else first[lit, s]
+            weight[lit, s], seen[lit, s] = test(s, lit, np.zeros(len(lit), np.int64), count, narrow[s])
 
     # Where the light is partly hidden: more rays, by the source's share of what the point could get.
     most = 2 * PENUMBRA * rays * tests
@@ -387,7 +394,11 @@ def _direct(kernel, points, rays, tests, seed):
         differs = (state[here] != state[there]) & (state[here] >= 0) & (state[there] >= 0)
         mixed = (state == 2) | (np.bincount(here, differs, len(ids)) > 0)
         count = np.where(mixed, np.clip(most / 2 * np.sqrt(share[:, s]), 4, most), 0)
-        count = np.where(dim & (state >= 0), np.maximum(count, DIM_TESTS), count)
+        if narrow[s]:  # its rim has shown where it must be tested, and nothing else
+            count = np.where(mixed, count + first[:, s], 0)
+            weight[mixed, s] = seen[mixed, s] = 0.0
+        else:
+            count = np.where(dim & (state >= 0), np.maximum(count, DIM_TESTS), count)
         count = count.astype(np.int64)
         more = np.flatnonzero(count[:own])
         if len(more):
@@ -424,6 +435,12 @@ def _tests(kernel, s, position, share, tests):
 def _sharp(kernel, s):
     """Whether a source is a mere point, which is seen or not."""
     return kernel.sources.kind[s] != FLAT and kernel.sources.radius[s] == 0 and not kernel.caster.veiled
+
+
+def _narrow(kernel, s):
+    """Whether a source is a sun as narrow as the real one, or not much wider."""
+    narrow = kernel.sources.kind[s] == SUN and 0 < kernel.sources.radius[s] <= NARROW
+    return narrow and not kernel.caster.veiled
 
 
 def direction_tables(rays, seed):
@@ -463,6 +480,12 @@ def above_surface(directions, geometric):
     """(K, n) bool: the rays (3, K, n) that leave above the surface itself."""
     g = geometric.astype(np.float32)
     return directions[0] * g[:, :1] + directions[1] * g[:, 1:2] + directions[2] * g[:, 2:] > 0
+
+
+def _rim_places(ids, number, s, seed):
+    """Places a, b (K,) on the rim of a sun s for its RIM test rays, `number` (K,) each, of points ids (K,)."""
+    turn = fraction(ids * APART[1] + scatter(np.arange(1) + 2 * s, TEST + 8 * seed))
+    return np.full(len(ids), RIM_SHARE), fraction((turn + number) / RIM)
 
 
 def _test_places(ids, number, s, seed):
