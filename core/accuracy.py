@@ -5,7 +5,7 @@ sqrt(sum A (I - I*)^2 / sum A I*^2), I the irradiance at the points, A their are
 
 Two sources feed the estimate. How replicates scatter shows their noise at every point. What replicates share (light
 that patches average away, rows that miss it, the filter) shows at the control points, whose light was traced anew:
-(B - C1)(B - C2) less the noise of B, with two truths C1 and C2 whose own noises cancel in the product.
+(B - C1)(B - C2) less the noise of B, with any two truths C1 and C2, whose own noises cancel in the product.
 
 Choices depend on counts and variances alone, never on seconds, so that the same bake always makes the same ones.
 """
@@ -70,9 +70,9 @@ def estimate_error(points, light, control, free, bound):
     if not power.sum() > 0:
         return Estimate(objects=np.full(count, np.nan), object_noise=np.zeros(count))
     ids, weight = control.ids, control.weight
-    first, second = light.total[:, ids] - control.truth
+    off = mean_product(light.total[:, ids] - control.truth, control.each)
     blurred = points.area * light.blurred
-    shared = weight * ((first * second).sum(axis=0) - light.variance[:, ids].sum(axis=0))
+    shared = weight * (off - light.variance[:, ids].sum(axis=0))
 
     def parts(chosen):
         """Shares of the light's power: noise, what replicates share, and the standard error of that."""
@@ -89,9 +89,8 @@ def estimate_error(points, light, control, free, bound):
     inside = free & points.smooth
     if power[inside].sum() > 0:
         within = parts(inside)[0]
-    averaged = (weight * free[ids] * (control.patches[0] * control.patches[1]).sum(axis=0)).sum() / max(
-        power[free].sum(), 1e-300
-    )
+    averaged = weight * free[ids] * mean_product(control.patches, control.each)
+    averaged = averaged.sum() / max(power[free].sum(), 1e-300)
     solve = min(bound * bound, total - noise)
     patches = min(max(averaged, 0.0), total - noise - solve)
     return Estimate(
@@ -102,6 +101,16 @@ def estimate_error(points, light, control, free, bound):
         float(doubt),
         *_of_objects(points, power, scatter, blurred, shared - weight * light.blurred[ids], ids, total - noise),
     )
+
+
+def mean_product(values, rays):
+    """(K,) mean of the products, summed over channels, of any two of values (M, C, K), by their rays (M,): the noise of
+    one never meets itself. Of many values there are more pairs than of two halves of them, so that what is left of the
+    noise is as small with up to 30 % fewer rays."""
+    rays = rays.astype(float)
+    weighted = rays[:, None, None] * values
+    square, own = weighted.sum(axis=0) ** 2, (weighted * weighted).sum(axis=0)
+    return (square - own).sum(axis=0) / (rays.sum() ** 2 - (rays * rays).sum())
 
 
 def _of_objects(points, power, scatter, blurred, shared, ids, common):

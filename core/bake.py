@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from math import inf, log
+from math import inf, log, sqrt
 from time import perf_counter
 
 import numpy as np
@@ -390,7 +390,7 @@ class _Course:
         # More rays where the control itself is in doubt, as long as they help; above all before rays are spent at all
         # points against what may be chance.
         while more := self._more_control():
-            self._doubt = self.estimate.doubt
+            self._doubt = self.estimate.doubt * sqrt(self.control.rays)
             yield from self._trace(self.control.trace(more))
             self._estimate()
 
@@ -407,7 +407,7 @@ class _Course:
         """How many more control rays are to be traced, 0 for none."""
         wanted = self._rays_wanted() * len(self.points)
         spent = self.control.rays * len(self.control.ids)
-        return more_control(self.estimate, self.settings.error, self.control.rays, self._doubt, wanted / max(spent, 1))
+        return more_control(self.estimate, self.settings, self.control.rays, self._doubt, wanted / max(spent, 1))
 
     def _smooth(self):
         """Find the light as it stands, which is then known."""

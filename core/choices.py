@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from math import sqrt
 
 from .accuracy import ENOUGH, SMALL
 from .effects import SHADOWS
@@ -23,7 +24,7 @@ SURE_RAYS = 64  # with so many, doubts far below the error asked for do not matt
 MOST_CONTROL_RAYS = 1024
 UNSURE = 0.7  # of the square of the noise: a doubt above that asks for more control rays
 UNSURE_ABOVE = 0.15  # the same, where the error asked for seems out of reach of what was gathered
-HELP = 0.7  # of its doubt may be left after twice as many control rays; with more they are of no use
+STEP = 0.5  # times as many control rays are worth another look
 CONTROL_COST = 6  # gather rays that a control ray costs: those of both truths, each with a test ray and one more
 
 
@@ -72,11 +73,14 @@ def control_points(objects=0):
     return min(max(CONTROL_POINTS, EACH_OBJECT * objects), MOST_CONTROL_POINTS)
 
 
-def more_control(found, error, rays, doubt, wanted):
+def more_control(found, settings, rays, doubt, wanted):
     """How many more control rays are to be traced, 0 for none: if too little is known of what replicates share, where
     their noise is small enough, and if rays help. found: the Estimate; rays: of each truth so far; doubt: before the last
-    of them; wanted: rays of another replicate at all points, for each control ray so far."""
-    helped = found.doubt <= HELP * doubt or rays < SURE_RAYS  # of few rays, one may weigh too much
+    of them, times the square root of their number; wanted: rays of another replicate at all points, for each control ray
+    so far."""
+    # They are of use if they take off more than chance must; of few rays, one may weigh too much.
+    helped = found.doubt * sqrt(rays) <= doubt or rays < SURE_RAYS
+    error = settings.error
     if rays >= MOST_CONTROL_RAYS or found.noise > ENOUGH * error or not helped:
         return 0
     # What is cheaper comes first: to gather more, or to know better whether it must be.
@@ -84,5 +88,7 @@ def more_control(found, error, rays, doubt, wanted):
         return 0
     # What is known at little cost is known well beside the noise; beyond that, beside what was asked for.
     least = SMALL * error if rays >= SURE_RAYS else 0.0
-    share = UNSURE_ABOVE if wanted else UNSURE
-    return rays if found.doubt > share * max(found.noise, least) ** 2 else 0
+    goal = (UNSURE_ABOVE if wanted else UNSURE) * max(found.noise, least) ** 2
+    # As many as are needed: doubt falls about as fast as they grow. What is in doubt of single objects is not in it.
+    least = 1 if settings.per_object else STEP
+    return int(min(max(found.doubt / max(goal, 1e-300) - 1, least), 1) * rays) if found.doubt > goal else 0

@@ -3,7 +3,7 @@
 Owns the drawing of control points and the cells' part of their truth. At a control point every ray goes on: where it
 meets a patch, the patch's own light is not read but sampled anew, by a test ray to a source and one more ray, whose hit
 then reads the patches. So the error that is found holds what the patches have averaged away and what their rows have
-missed, beside the noise and the filter of the bake. Two independent truths, whose noises cancel in their product.
+missed, beside the noise and the filter of the bake. Truths are independent, and their noises cancel in the products of two.
 """
 
 from __future__ import annotations
@@ -28,23 +28,26 @@ DIRECT_TESTS, FEWEST_TESTS = 64, 8  # test rays to a source that gives all light
 
 @dataclass(frozen=True)
 class Traced:
-    """What a Control has traced: `rounds` rounds of `rays` rays in all, sums (2, 2, C, K) of truths and of what patches
-    add; and of a round of `asked` rays that is under way, truth and patches (C, N) at the first N of its places."""
+    """What a Control has traced: two truths in each of `rounds` rounds; of those that count, rays (M,), truth and patches
+    (M, C, K), see Control; and of a round of `asked` rays that is under way, truth and patches (C, N) at the first N of
+    its places."""
 
-    rays: int = 0
     rounds: int = 0
-    sums: np.ndarray | None = None
-    asked: int = 0
+    rays: np.ndarray | None = None
     truth: np.ndarray | None = None
     patches: np.ndarray | None = None
+    asked: int = 0
+    next_truth: np.ndarray | None = None
+    next_patches: np.ndarray | None = None
 
 
 class Control:
     """K control points, and truths of their light, as many as have been traced.
 
     ids: (K,) points, sorted. weight: (K,) [m^2], so that sums of weight times a value estimate sums of area times it over
-    all points. truth: (2, C, K) two independent means of the light [W/m^2]; patches: (2, C, K) how much more the same
-    rays bring if they read the patches that they meet. rays: of each truth so far. traced: all that, as Traced.
+    all points. truth: (M, C, K) independent means of the light [W/m^2]; patches: (M, C, K) how much more the same rays
+    bring if they read the patches that they meet; each: (M,) rays of every one of them. rays: half of all, for every round
+    has two. traced: all that, as Traced.
     """
 
     def __init__(self, points, ids, weight, cells, settings, groups=1, traced=None):
@@ -55,14 +58,14 @@ class Control:
         self.traced = traced or Traced()
 
     def trace(self, rays):
-        """Trace another `rays` rays of both truths at every point: a generator that yields before and after every task."""
+        """Trace two more truths of `rays` rays at every point: a generator that yields before and after every task."""
         self.traced = replace(self.traced, asked=rays)
         return self.complete()
 
     def complete(self):
         """Trace the rest of a round that was broken off: a generator like that of `trace`."""
         rays, rounds, count = self.traced.asked, self.traced.rounds, len(self.ids)
-        done = 0 if self.traced.truth is None else self.traced.truth.shape[1]
+        done = 0 if self.traced.next_truth is None else self.traced.next_truth.shape[1]
         size = max(TASK_RAYS // (3 * rays + min(rays, DIRECT_TESTS)), 1)
         tasks = [
             self._cells.submit(
@@ -80,20 +83,26 @@ class Control:
             before = self.traced
             truth, patches = (
                 result[name] if old is None else np.concatenate([old, result[name]], axis=1)
-                for name, old in (("truth", before.truth), ("patches", before.patches))
+                for name, old in (("truth", before.next_truth), ("patches", before.next_patches))
             )
-            self.traced = replace(before, truth=truth, patches=patches)
+            self.traced = replace(before, next_truth=truth, next_patches=patches)
             yield (k + 1) / len(tasks)
-        sums = [values.reshape(-1, 2, count) for values in (self.traced.truth, self.traced.patches)]
-        sums = rays * np.moveaxis(np.stack(sums), 2, 1)  # (truth or patches, which of the two, C, K)
-        sums = sums.reshape(2, 2, self._groups, -1, count).sum(axis=2)
         before = self.traced
-        self.traced = Traced(before.rays + rays, rounds + 1, sums if before.sums is None else before.sums + sums)
+        both = (self._both(values, count) for values in (before.next_truth, before.next_patches))
+        more = np.full(2, rays), *both
+        if before.rays is not None:
+            more = map(np.concatenate, zip((before.rays, before.truth, before.patches), more))
+        self.traced = Traced(rounds + 1, *more)
 
-    rays = property(lambda self: self.traced.rays)
+    def _both(self, values, count):
+        """(2, C, K) of all groups together, of values (G C, 2 K), those of one truth after those of the other."""
+        return np.moveaxis(values.reshape(self._groups, -1, 2, count).sum(axis=0), 1, 0)
+
+    rays = property(lambda self: 0 if self.each is None else int(self.each.sum()) // 2)
+    each = property(lambda self: self.traced.rays)
     under_way = property(lambda self: self.traced.asked > 0)
-    truth = property(lambda self: self.traced.sums[0] / self.traced.rays)
-    patches = property(lambda self: self.traced.sums[1] / self.traced.rays)
+    truth = property(lambda self: self.traced.truth)
+    patches = property(lambda self: self.traced.patches)
 
 
 def draw_control(points, light, count, per_object):

@@ -21,6 +21,7 @@ from .settings import Settings
 PRICED = (0.1, 0.05, 0.02, 0.01, 0.005)  # errors of the price list
 AGAIN = 1.25  # times the rays that a pilot's noise calls for: at its next look a bake may find that there is more to do
 ANY_RAYS = 0.9  # of the seconds of a small replicate's test rays: they are spent for whatever number of rays
+PAIRS = 0.8  # of the control rays that two truths alone would need: those of many have more pairs
 STEADY = 0.4  # of the seconds of patches and rows are spent however many there are (measured)
 POINT_MB = 3e-5  # of a point in one more replicate
 
@@ -87,9 +88,7 @@ def control_seconds(pilot, error):
         return 0.0
     have = pilot.control_rays
     wanted = have * pilot.estimate.doubt / (UNSURE * (AIM * error) ** 2)
-    rays = max(have, control_rays(replace(pilot.settings, error=error)))
-    while rays < min(wanted, MOST_CONTROL_RAYS):
-        rays *= 2
+    rays = max(have, control_rays(replace(pilot.settings, error=error)), min(PAIRS * wanted, MOST_CONTROL_RAYS))
     return (rays - have) * pilot.control_rate
 
 

@@ -31,7 +31,7 @@ from .replicates import Replicate
 from .saving import written_whole
 from .settings import Settings
 
-FORMAT = 5  # of the file; higher when samples of the same seed become others
+FORMAT = 6  # of the file; higher when samples of the same seed become others
 ANEW = "name another state file to bake it anew"
 DAMAGED = f"it is not a state file, or is damaged: {ANEW}"
 
@@ -48,8 +48,8 @@ class State:
     solution were made for. solution: perhaps unfinished; solved: the error that it was finished for, infinite before.
     places: arrays from which points are made again without a ray, {name: array}; side: (P,) the patch side of each.
     gathered: replicates, and the bound of the transport that each of them read, bounds. control: ids and weights of
-    control points, drawn from each object or not; traced: their truths; doubt: that of the estimate before they were
-    last traced, since the last replicate. openness: (distance, (P,)). averaged: ids (K,) of points whose light of
+    control points, drawn from each object or not; traced: their truths; doubt: of the estimate before they were last
+    traced, since the last replicate, times the square root of their rays. openness: (distance, (P,)). averaged: ids (K,) of points whose light of
     sampled sources is that of a whole surface around them, and that light (C, K). price: the list that the pilot
     foretold. seconds: {phase: spent so far}, and "replicates" those on `rays` gather rays. note: whoever asked for the
     bake may leave one.
@@ -355,7 +355,7 @@ def _unpacked(arrays, told):
     if "control.ids" in arrays:
         traced = from_arrays(Traced, "control", arrays)
         found["control"] = arrays["control.ids"], arrays["control.weight"]
-        found["traced"] = replace(traced, **{name: int(getattr(traced, name)) for name in ("rays", "rounds", "asked")})
+        found["traced"] = replace(traced, **{name: int(getattr(traced, name)) for name in ("rounds", "asked")})
     if "openness" in arrays:
         found["openness"] = told["distance"], arrays["openness"]
     if "averaged.ids" in arrays:

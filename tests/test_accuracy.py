@@ -12,12 +12,14 @@ from cell_radiosity.core.accuracy import (
     AIM,
     AIM_EACH,
     Estimate,
+    mean_product,
     noise_after,
     rays_by_object,
     rays_wanted,
 )
 from cell_radiosity.core.bake import _Course, price
 from cell_radiosity.core.cells import LocalCells
+from cell_radiosity.core.choices import MOST_CONTROL_RAYS, STEP, UNSURE, more_control
 from cell_radiosity.core.prices import AGAIN, STEADY, Pilot, price_list, replicate_seconds
 
 from scenes import Material, Settings, bake, box, join_meshes, run, sheet
@@ -163,6 +165,35 @@ def test_rays_wanted():
     assert noise_after(0.05, 16, n) <= (AIM * 0.01) ** 2 < noise_after(0.05, 16, n - 1)
     assert rays_wanted(Estimate(total=0.008, noise=0.008), 16, 0.01) == 0
     assert rays_wanted(Estimate(total=0.05, noise=0.005, shared=0.05), 16, 0.01) == 0
+
+
+def test_products_of_different_truths_have_no_noise_of_their_own():
+    """Many truths of unlike rays, all off by the same: the mean of the products is the square of that, not more, and
+    scatters less than the product of two halves of the rays."""
+    rays, count = np.array([64, 64, 64, 64, 128, 128]), 40_000
+    noise = np.random.default_rng(0).normal(size=(len(rays), 1, count)) * np.sqrt(64 / rays)[:, None, None]
+    found = mean_product(0.2 + noise, rays)
+    assert found.mean() == pytest.approx(0.04, abs=5 * found.std() / np.sqrt(count))
+    halves = ((0.2 + noise) * rays[:, None, None]).reshape(3, 2, count).sum(axis=0) / (rays.sum() / 2)
+    assert mean_product(halves[:, None], np.array([256, 256])) == pytest.approx(halves[0] * halves[1])
+    assert found.var() < 0.8 * (halves[0] * halves[1]).var()
+
+
+def test_control_rays_are_as_many_as_its_doubt_calls_for():
+    """As many as are missing, at most as many again; none where there are enough, where the last did not help, or where
+    what more rays at all points take off is cheaper to have."""
+    settings, noise = Settings(error=0.01), 0.007
+    found = lambda share: Estimate(total=noise, noise=noise, doubt=share * UNSURE * noise**2)
+    assert more_control(found(0.9), settings, 64, np.inf, 0) == 0
+    assert more_control(found(1.1), settings, 64, np.inf, 0) == STEP * 64
+    assert more_control(found(1.75), settings, 64, np.inf, 0) == 48
+    assert more_control(found(5.0), settings, 64, np.inf, 0) == 64
+    assert more_control(found(1.1), replace(settings, per_object=True), 64, np.inf, 0) == 64
+    assert more_control(found(5.0), settings, 64, np.inf, 1.0) == 0
+    assert more_control(found(5.0), settings, MOST_CONTROL_RAYS, np.inf, 0) == 0
+    before = found(2.0).doubt * np.sqrt(64)
+    assert more_control(found(1.5), settings, 128, before, 0) == 0
+    assert more_control(found(1.3), settings, 128, before, 0) == STEP * 128
 
 
 def behind_a_door():
