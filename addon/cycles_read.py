@@ -20,6 +20,9 @@ PASSES = (("DIFFUSE", {"COLOR"}), ("GLOSSY", {"COLOR"}), ("EMIT", set()))
 SIZE = 1e-3  # of a sample triangle, as a share of its source's edges
 INSET = 0.01  # how far a sample at a corner is moved into its triangle
 MOST = 400_000  # samples of one bake; more surface than that is read more coarsely
+GLOWING = (
+    1 << 14
+)  # samples, at least, of the faces of an object and material that emit light: all of it comes from them
 WIDTHS = {"FLOAT": ("value", 1), "INT": ("value", 1), "BOOLEAN": ("value", 1), "FLOAT_VECTOR": ("vector", 3),
           "FLOAT2": ("vector", 2), "FLOAT_COLOR": ("color", 4), "BYTE_COLOR": ("color", 4)}  # fmt: skip
 
@@ -34,7 +37,7 @@ class Unread:
 
     object: evaluated object. matrix: (4, 4). triangles: (T', 3) int corners of its triangles in the evaluated mesh.
     numbers: (T',) the triangles' numbers in the core's scene; turn: (T', 3) which of the scene's corners each is.
-    areas: (T',) [m^2]. corner: (K, 2) int pairs of (row in triangles, corner of it 0..2) to be read for themselves.
+    areas: (T',) [m^2]. materials: (T',) int the material of each. scene_corners: (T', 3) of the core's scene.
     """
 
     object: object
@@ -42,15 +45,27 @@ class Unread:
     triangles: np.ndarray
     numbers: np.ndarray
     areas: np.ndarray
+    materials: np.ndarray
     scene_corners: np.ndarray
 
 
 def read_with_cycles(context, unread, spacing):
-    """The core's Readings of all Unread objects, a sample every `spacing` meters or so. Raises CannotRead."""
+    """The core's Readings of all Unread objects, a sample every `spacing` meters or so, and more of them where there is
+    emission. Raises CannotRead."""
     total = sum(u.areas.sum() for u in unread) / spacing**2
     spacing *= max(np.sqrt(total / MOST), 1.0)
-    places = [_places(u, spacing) for u in unread]
+    places = [_places(u, np.full(len(u.areas), spacing)) for u in unread]
     colors = _bake(context, [_sample_mesh(u, *p[:2]) for u, p in zip(unread, places)], unread)
+    glows = [np.unique(u.materials[p[0][c[2].max(axis=1) > 0]]) for u, p, c in zip(unread, places, colors)]
+    count = min(GLOWING, MOST // max(sum(map(len, glows)), 1))
+    finer = [_finer(u, spacing, g, count) for u, g in zip(unread, glows)]
+    again = [k for k, own in enumerate(finer) if (own < spacing).any()]
+    if again:
+        for k in again:
+            places[k] = _places(unread[k], finer[k])
+        chosen = [unread[k] for k in again]
+        found = _bake(context, [_sample_mesh(u, *places[k][:2]) for k, u in zip(again, chosen)], chosen)
+        colors = [found[again.index(k)] if k in again else own for k, own in enumerate(colors)]
     parts = []
     for u, (row, uv, spread), (diffuse, gloss, emission) in zip(unread, places, colors):
         reflectance, exitance = diffuse + gloss, np.pi * emission
@@ -64,8 +79,17 @@ def read_with_cycles(context, unread, spacing):
     return Readings(*(np.concatenate([getattr(p, name) for p in parts]) for name in Readings.__dataclass_fields__))
 
 
+def _finer(unread, spacing, glows, count):
+    """(T',) the spacing of samples on triangles, so that those of each material that glows get `count` of them."""
+    finer = np.full(len(unread.areas), spacing)
+    for material in glows:
+        mine = unread.materials == material
+        finer[mine] = min(spacing, np.sqrt(unread.areas[mine].sum() / count))
+    return finer
+
+
 def _places(unread, spacing):
-    """Places of samples: triangle row (S,), uv (S, 2), and how many of them are spread out; the rest lie at corners."""
+    """Places of samples, by the spacing (T',) on each triangle: triangle row (S,), uv (S, 2), and how many of them are spread out; the rest lie at corners."""
     count = np.clip(np.ceil(unread.areas / spacing**2), 1, MOST).astype(np.int64)
     row = np.repeat(np.arange(len(count)), count)
     number = np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count)

@@ -157,7 +157,8 @@ def _read_others(context, depsgraph, reader, scene, placed, orders, corner, spac
         jobs.append(
             Unread(
                 placed[k].original.evaluated_get(depsgraph), Matrix(placed[k].matrix), orders[k][corners - corner[k]],
-                numbers, scene.triangle_normal_area[1][numbers], corners,
+                numbers, scene.triangle_normal_area[1][numbers],
+                scene.polygon_material[scene.triangle_polygon[numbers]], corners,
             )
         )  # fmt: skip
     try:

@@ -27,6 +27,7 @@ from .lights import emitting_polygons, make_sources
 from .occlusion import find_openness
 from .paper import solve_paper
 from .patches import Patches, count_patches, patch_of_hit, patch_size
+from .pictures import add_pictures
 from .placing import refill, thin_findings
 from .points import Points, make_points
 from .prices import PRICED, Pilot, price_list
@@ -232,22 +233,22 @@ class _Course:
         edge, growth = patch_size(scene, settings)
         world = scene.world if found.needs("sky") else World()
         sky, _ = split_sky(world)
+        shadows, seen = found.needs("occlusion"), len(sky)
         sources, sampled = make_sources(scene.but(world=world))
         patches = (
             known.patches if known else make_fine_patches(scene, sources if settings.graded else None, edge, growth)
         )
+        cells.start(transport_arrays(patches, sources, shadows, seen))
+        # Patches that are to be the mesh's own polygons stay what they are.
+        if not known and edge is not None and shadows:
+            patches = cut_contacts(scene, patches, cells)
+        sources, sampled = add_pictures(scene, patches, sources, sampled)
+        surfaces, sky = _surfaces(scene, patches, sampled, found, np.pi * sky.T)
         if not found.needs("color"):
             sources = sources.one_channel()
-        ungrouped = sources
         if self.groups:
-            sources = self.groups.of_sources(sources)
-        cells.start(transport_arrays(patches, sources, found.needs("occlusion"), len(sky)))
-        # Patches that are to be the mesh's own polygons stay what they are.
-        if not known and edge is not None and found.needs("occlusion"):
-            patches = cut_contacts(scene, patches, cells)
-        surfaces, sky = _surfaces(scene, patches, sampled, found, np.pi * sky.T)
-        if self.groups:
-            _, surfaces, sky = self.groups.apart(ungrouped, surfaces, sky, scene.polygon_object[patches.polygon])
+            sources, surfaces, sky = self.groups.apart(sources, surfaces, sky, scene.polygon_object[patches.polygon])
+        cells.start(transport_arrays(patches, sources, shadows, seen))
         if surfaces.coverage is not None:
             cells.start({"alpha.coverage": surfaces.coverage[::2]})
         self.patches, self.surfaces, self.sources, self.sky = patches, surfaces, sources, sky

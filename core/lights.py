@@ -115,7 +115,7 @@ def make_sources(scene):
         for g in split_sky(scene.world)[1]
     ]
     flats, sampled = _emitting_flats(scene)
-    return _joined([*found, flats]), sampled
+    return join_sources([*found, flats]), sampled
 
 
 def emitting_polygons(scene):
@@ -425,7 +425,7 @@ def _from(origin, source):
     return replace(source, origin=np.array([origin], np.int32))
 
 
-def _joined(found):
+def join_sources(found):
     """One `Sources` of many."""
     joined = {f.name: np.concatenate([getattr(s, f.name) for s in found]) for f in fields(Sources)}
     joined["corner_start"] = _starts(np.concatenate([np.diff(s.corner_start) for s in found]))
@@ -535,8 +535,9 @@ def _emitting_flats(scene):
     """Emitting faces as FLAT Sources, and which polygons (P,) bool they stand for: in one plane they are one source, if
     it is convex; else each polygon, or each triangle of it. If there are too many, only the strongest are sources."""
     exitance = np.array([m.exitance for m in scene.materials], float).reshape(-1, 3)
-    whole = np.array([not m.transparent for m in scene.materials], bool)  # rays find the light of others
-    glows = ((exitance > 0).any(axis=1) & whole)[scene.polygon_material]
+    exitance *= np.array([m.alpha for m in scene.materials], float).reshape(-1, 1)
+    even = np.array([m.alpha_texture is None for m in scene.materials], bool)
+    glows = ((exitance > 0).any(axis=1) & even)[scene.polygon_material] & ~_read(scene)
     triangle = np.flatnonzero(scene.usable & glows[scene.triangle_polygon])
     owner, size = scene.triangle_polygon[triangle], scene.triangle_normal_area[1][triangle]
     area = np.bincount(owner, size, len(glows))
@@ -572,23 +573,40 @@ def _emitting_flats(scene):
     polygon = polygon[order]
     owner, number = counted(np.diff(start)[order])
     corner, start = corner[start[order][owner] + number], _starts(np.diff(start)[order])
-    middle = [np.bincount(owner, x, len(order)) / np.diff(start) for x in corner.T]
-    flats = Sources(
-        kind=np.full(len(order), FLAT, np.int8),
-        strength=exitance[scene.polygon_material[polygon]],
-        position=np.stack(middle, axis=1),
-        direction=unit(_vector_areas(start, corner)),
-        two_sided=np.ones(len(order), bool),
-        radius=np.zeros(len(order)),
-        soft=np.ones(len(order), bool),
-        cone=np.tile((-1.0, 0.0), (len(order), 1)),
-        corner_start=start,
-        corner=corner,
-        origin=(-2 - scene.polygon_object[polygon]).astype(np.int32),
+    flats = flat_sources(
+        corner, np.diff(start), exitance[scene.polygon_material[polygon]], scene.polygon_object[polygon]
     )
     sampled = np.zeros(len(glows), bool)
     sampled[emitting] = rank[part[emitting]] < chosen
     return flats, sampled
+
+
+def flat_sources(corner, sides, strength, object):
+    """FLAT Sources that shine to both sides. corner: (C, 3) those of one after the other, sides: (S,) how many each has;
+    strength: (S, C); object: (S,) whose faces they are."""
+    start, owner = _starts(sides), np.repeat(np.arange(len(sides)), sides)
+    middle = [np.bincount(owner, x, len(sides)) / np.maximum(sides, 1) for x in corner.T]
+    return Sources(
+        kind=np.full(len(sides), FLAT, np.int8),
+        strength=strength,
+        position=np.stack(middle, axis=1),
+        direction=unit(_vector_areas(start, corner)),
+        two_sided=np.ones(len(sides), bool),
+        radius=np.zeros(len(sides)),
+        soft=np.ones(len(sides), bool),
+        cone=np.tile((-1.0, 0.0), (len(sides), 1)),
+        corner_start=start,
+        corner=corner,
+        origin=(-2 - object).astype(np.int32),
+    )
+
+
+def _read(scene):
+    """(P,) bool: polygons whose light was read place by place."""
+    read = np.zeros(len(scene.polygon_material), bool)
+    if scene.readings is not None:
+        read[scene.triangle_polygon[scene.readings.triangle]] = True
+    return read
 
 
 def _corners(scene, polygons):
