@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+import sys
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -13,7 +14,7 @@ import pytest
 
 import cell_radiosity
 from cell_radiosity import addon
-from cell_radiosity.addon import panels
+from cell_radiosity.addon import panels, translations
 from cell_radiosity.addon.job import Options
 from cell_radiosity.addon.preflight import preflight
 from cell_radiosity.addon.read_scene import read_scene
@@ -23,9 +24,15 @@ from cell_radiosity.addon.translations import VALUE, tr, tr_message
 from cell_radiosity.addon.translations_de import GERMAN
 from cell_radiosity.core.bake import Progress, bake, run
 from cell_radiosity.core.cells import LocalCells
+from cell_radiosity.core.effects import survey
 from cell_radiosity.core.layers import layer_colors
+from cell_radiosity.core.settings import EFFECTS, Settings
 
 from blender_scenes import bake_ours, colors, cube, diffuse, empty, glowing, lamp, plane
+
+sys.path.insert(0, str(Path(__file__).parent.parent))
+
+from tools import effects_table
 
 ADDON = Path(addon.__file__).parent
 
@@ -73,35 +80,99 @@ def words():
     return {word for word in found if any(c.isalpha() for c in word)}
 
 
+NUMBER = re.compile(r"(?<!\w)'[^']*'(?!\w)|\d+(?:[.,]\d+)*")  # or a quoted name
+
+
 def test_every_word_has_its_german_one():
-    missing = sorted(word for word in words() if VALUE.sub("{}", word) not in GERMAN and word not in GERMAN)
+    missing = sorted(word for word in words() if NUMBER.sub("{}", word) not in GERMAN and word not in GERMAN)
     assert not missing
     for word, german in GERMAN.items():
-        assert word.count("{}") == german.count("{}"), word
+        assert sorted(VALUE.findall(word)) == sorted(VALUE.findall(german)), word
 
 
-def findings():
-    """What the code says of objects and what is done about it, with {} for what it puts in."""
+REFUSING = ("job.py", "outputs.py", "write_result.py", "atlas.py", "errors.py")  # whose refusals the panel shows ...
+COMMAND = re.compile("state file|--strict|its layers")  # ... but for these
+
+
+def sentences():
+    """What the code says of effects and objects, what is done about it, and why it refuses, with {} for what it puts in."""
     found = set()
     for path in (*ADDON.glob("*.py"), *ADDON.with_name("core").glob("*.py")):
         for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.Call) and getattr(node.func, "id", "") in ("Finding", "say"):
-                for said in node.args[1:]:
-                    if isinstance(said, ast.Constant):
-                        found.add(VALUE.sub("{}", said.value))
-                    elif isinstance(said, ast.JoinedStr):
-                        parts = (v.value if isinstance(v, ast.Constant) else "{}" for v in said.values)
-                        found.add(VALUE.sub("{}", "".join(parts)))
-    return found
+            name = isinstance(node, ast.Call) and getattr(node.func, "id", getattr(node.func, "attr", ""))
+            if name in ("Finding", "say"):
+                found.update(map(sentence, node.args[1:]))
+            elif name == "Effect":
+                found.update(map(sentence, node.args[2:3]))
+            elif name == "append" and ast.unparse(node.func).endswith("ignored.append"):
+                found.update(map(sentence, getattr(node.args[0], "elts", ())[1:]))
+            elif name == "append" and ast.unparse(node.func).endswith("notes.append"):
+                found.add("{}: " + sentence(node.args[0]))
+            elif name in ("Refused", "NoUnwrapper") and path.name in REFUSING and not COMMAND.search(ast.unparse(node)):
+                found.update(map(sentence, node.args[:1]))
+    return found - {None}
 
 
-def test_every_finding_has_its_german_words():
-    known = "\n".join(GERMAN)
+def sentence(node):
+    """A text or a formatted text, with {} for its values; None for anything else."""
+    if isinstance(node, ast.Constant):
+        return NUMBER.sub("{}", node.value)
+    if isinstance(node, ast.JoinedStr):
+        return NUMBER.sub("{}", "".join(v.value if isinstance(v, ast.Constant) else "{}" for v in node.values))
+
+
+def test_every_sentence_has_its_german_words():
+    known = "\n".join(VALUE.sub("{}", word) for word in GERMAN)
     missing = [
-        said for said in findings() if not re.search("^" + re.escape(said).replace(r"\{\}", ".*") + "$", known, re.M)
+        said for said in sentences() if not re.search("^" + re.escape(said).replace(r"\{\}", ".*") + "$", known, re.M)
     ]
-    assert len(findings()) > 40
+    assert len(sentences()) > 100
     assert not sorted(missing)
+
+
+@pytest.fixture
+def german(monkeypatch):
+    """German words are found, whether this Blender knows the language or not."""
+    monkeypatch.setattr(translations, "_look_up", lambda text: GERMAN.get(text, text))
+
+
+ENGLISH = set(
+    re.findall(r"\w+", "the of a and with is are was it its faces light rays that can none at most front back to")
+)
+
+
+@pytest.mark.parametrize("forced", [False, True])
+def test_reasons_of_effects_are_told_in_german(forced, german):
+    for scene in effects_table.scenes().values():
+        names = {word for name in (*scene.objects, *(m.name for m in scene.materials)) for word in name.split()}
+        for effect in survey(scene, Settings(force=EFFECTS if forced else ())).effects:
+            told = tr_message(effect.reason)
+            assert told != effect.reason
+            assert not (ENGLISH - names) & set(re.findall(r"\w+", told)), told
+
+
+def test_sentences_within_sentences_keep_their_values(german):
+    assert tr_message("Tea, pot reflects 80 %: up to 1 bounce can matter at the 2 % asked for").startswith(
+        "Tea, pot wirft 80 %"
+    )
+    assert tr_message("2 area, 1 spot") == "2 Fläche, 1 Spot"
+    told = tr_message(
+        "forced; not needed: 2 parts cannot see one another (A, front; B, back): each has a stop of its own"
+    )
+    assert "(A, vorn; B, hinten)" in told
+    told = tr_message("a red one reflects 9 %: up to 3 bounces can matter at the 2 % asked for; rays are guided to 7 bright"
+                      " sides of patches, which they would seldom meet by chance")  # fmt: skip
+    assert told.startswith("a red one wirft 9 % zurück")
+    assert "7 hellen Seiten" in told
+    assert tr_message("3 faces emit light, of A, B, C and 4 more objects").endswith(
+        "von A, B, C und 4 weiteren Objekten"
+    )
+    assert tr_message("2 faces emit light, of there is no lamp") == "2 Flächen leuchten, von there is no lamp"
+    told = tr_message("its light is written to a copy, 'cube 7_radiosity'")
+    assert told == "sein Licht wird in eine Kopie geschrieben, 'cube 7_radiosity'"
+    assert tr_message("the last slot's material was taken, as Blender does").startswith("das Material")
+    assert tr_message("one, two") == "one, two"
+    assert tr_message("nobody says 3 of this") == "nobody says 3 of this"
 
 
 def test_words_are_looked_up_in_the_users_language():
@@ -113,10 +184,6 @@ def test_words_are_looked_up_in_the_users_language():
         view.language, view.use_translate_interface = "de_DE", True
         assert tr("Objects: {}, face corners: {}", 3, 12) == "Objekte: 3, Flächenecken: 12"
         assert tr_message("3 faces are lit from behind") == "3 Flächen werden von hinten beleuchtet"
-        told = tr_message("its light is written to a copy, 'cube 7_radiosity'")
-        assert told == "sein Licht wird in eine Kopie geschrieben, 'cube 7_radiosity'"
-        assert tr_message("the last slot's material was taken, as Blender does").startswith("das Material")
-        assert tr_message("nobody says 3 of this") == "nobody says 3 of this"
     finally:
         view.language = former
     assert tr("Objects: {}, face corners: {}", 3, 12) == "Objects: 3, face corners: 12"
