@@ -13,11 +13,11 @@ from dataclasses import replace
 import numpy as np
 
 from .kernel import blocks
-from .patches import CUTS, FLAT, join_elements
+from .patches import CUTS, join_elements
 from .polygons import clip_polygons
 from .records import to_arrays
-from .scene import normal_and_area
-from .vectors import counted, cross, dot, length
+from .scene import FLAT, normal_and_area
+from .vectors import by_coordinate, counted, cross, dot, length, rows_of
 
 HEIGHT = np.float32(5e-5)  # of the rays above the patch, in scene diagonals
 INSET = 1e-3  # how far they start inside the patch's corners
@@ -53,16 +53,16 @@ def find_contacts(kernel, ids):
     for part in blocks(len(ids), 4):
         own = ids[part]
         owner, start, stop = _paths(kernel.patches, own)
-        normal = kernel.patches.normal[own][owner]
+        normal = rows_of(kernel.patches.normal, own[owner])
         lift = HEIGHT * normal.astype(np.float32)
         start, stop = kernel.caster.place(start), kernel.caster.place(stop)
         found = blocker[part]
         for side in (1, -1):
             triangle, u, v, distance, _ = kernel.caster.hits(start + side * lift, stop - start)
             met = np.flatnonzero((triangle >= 0) & (distance < 1.0))
-            corner = kernel.vertices[kernel.triangles[triangle[met]]]
-            facing = normal_and_area(corner[:, 0], corner[:, 1], corner[:, 2])[0]
-            across = np.abs(dot(facing, normal[met])) < ALONG
+            corners = rows_of(kernel.triangles, triangle[met]).T
+            facing = normal_and_area(*(by_coordinate(rows_of(kernel.vertices, corner)) for corner in corners))[0]
+            across = np.abs(dot(facing, rows_of(normal, met))) < ALONG
             across &= kernel.patch_hit(triangle[met], u[met], v[met]) != own[owner[met]]
             met = met[across]
             found[owner[met]] = triangle[met]

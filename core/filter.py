@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from .points import pairs
-from .vectors import dot, length, runs
+from .vectors import dot, length, rows_of, runs
 
 STEPS = 6  # diffusion steps of the filter
 COLUMNS = 8  # neighbors of a point that are summed with those of all others
@@ -46,9 +46,9 @@ class Filter:
             here, there = pairs(points, np.arange(part.start, part.stop))
             edges = slice(points.neighbor_start[part.start], points.neighbor_start[part.stop])
             own = here + part.start
-            joined = links[edges] & (dot(points.normal[own], points.normal[there]) >= SMOOTH)
+            joined = links[edges] & (dot(rows_of(points.normal, own), rows_of(points.normal, there)) >= SMOOTH)
             here, own, there = here[joined], own[joined], there[joined]
-            distance = length(points.position[own] - points.position[there])
+            distance = length(rows_of(points.position, own) - rows_of(points.position, there))
             share = np.minimum(reach[own], reach[there])
             share /= np.maximum(distance, 1e-9 * np.maximum(reach[own], 1e-300))
             share = np.minimum(1.0, share * share / 4) / np.maximum(degree[own], degree[there])

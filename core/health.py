@@ -14,7 +14,7 @@ from .raycast import OFFSET, RayCaster
 from .sampling import fraction, hemisphere, lattice, scatter, tangents
 from .scene import following_corners
 from .surfaces import LARGEST_REFLECTANCE
-from .vectors import dot, length, whole_runs
+from .vectors import by_coordinate, dot, length, rows_of, whole_runs
 
 FARTHEST = 1e15  # coordinates beyond it leave float64 too few digits to be squared, cubed and compared [m]
 FAR = 1e9  # nothing is further from the middle than so many times what half of the scene is
@@ -166,7 +166,9 @@ def _doubles(scene, findings):
     for part in whole_runs(scene.polygon_start):
         own, first = size[part], scene.polygon_start[part.start]
         owner = np.repeat(np.arange(len(own)), own)
-        place = scene.vertices[scene.corner_vertex[first : first + len(owner)]] - scene.bounds[0]
+        place = (
+            by_coordinate(rows_of(scene.vertices, scene.corner_vertex[first : first + len(owner)])) - scene.bounds[0]
+        )
         middle = np.stack([np.bincount(owner, place[:, k], len(own)) for k in range(3)], axis=1)
         middle /= np.maximum(own, 1)[:, None]
         facts[part, :3] = middle

@@ -14,7 +14,7 @@ import numpy as np
 from .raycast import OFFSET
 from .sampling import morton_order
 from .scene import following_corners
-from .vectors import counted, dot, length, runs, unit
+from .vectors import by_coordinate, counted, dot, length, rows_of, runs, unit
 
 SAME_NORMAL = 0.99984769515639127  # cosine of one degree
 INWARD = 1e-3  # how far a point moves from its vertex toward the middle of its faces
@@ -80,13 +80,13 @@ def make_points(scene, flipped=None, cells=None):
     normal = unit(normal, corners.normals(first))
     facing = corners.face_normal
     geometric = np.stack(
-        [np.bincount(point, weight * facing[corners.polygon, k], count) / area for k in range(3)], axis=1
+        [np.bincount(point, weight * np.take(facing[:, k], corners.polygon), count) / area for k in range(3)], axis=1
     )
     geometric = unit(geometric, corners.facing(first))
     del weight
     move = scene.diagonal * _mean(move, point, np.maximum(width, 1e-30), count)
     del width
-    position = scene.vertices[corners.vertex[first]] + move
+    position = rows_of(scene.vertices, corners.vertex[first]) + move
     position += _lift(scene, corners, move, point, geometric)
     thin = np.ones(count, bool)
     thin[point[stout]] = False
@@ -101,9 +101,9 @@ def make_points(scene, flipped=None, cells=None):
     point = rank[point]
     neighbor_start, neighbor = _neighbors(scene, corner, point, count)
     return Points(
-        position=position[order],
-        normal=normal[order],
-        geometric=geometric[order],
+        position=rows_of(position, order),
+        normal=rows_of(normal, order),
+        geometric=rows_of(geometric, order),
         area=area[order],
         object=object[order],
         smooth=smooth[order],
@@ -191,19 +191,19 @@ class _Corners:
         if self._flipped is not None:
             self.face_normal = np.where(flipped[:, None], -self.face_normal, self.face_normal)
 
-    def facing(self, rows):
-        """(K, 3) unit normals of the faces of corners, given by their rows."""
-        return self.face_normal[self.polygon[rows]]
+    def facing(self, own):
+        """(K, 3) unit normals of the faces of some of the corners."""
+        return rows_of(self.face_normal, self.polygon[own])
 
-    def normals(self, rows):
-        """(K, 3) unit shading normals of corners, given by their rows."""
-        normal, polygon = np.empty((len(self.corner[rows]), 3)), self.polygon[rows]
-        corner = self.corner[rows]
+    def normals(self, own):
+        """(K, 3) unit shading normals of some of the corners."""
+        normal, polygon = np.empty((len(self.corner[own]), 3)), self.polygon[own]
+        corner = self.corner[own]
         for part in runs(len(normal)):
-            own = self._normal[corner[part]]
+            shading = by_coordinate(rows_of(self._normal, corner[part]))
             if self._flipped is not None:
-                own = np.where(self._flipped[polygon[part], None], -own, own)
-            normal[part] = unit(own, self.face_normal[polygon[part]])  # a custom normal may be 0 or NaN
+                shading = np.where(self._flipped[polygon[part], None], -shading, shading)
+            normal[part] = unit(shading, rows_of(self.face_normal, polygon[part]))  # a custom normal may be 0 or NaN
         return normal
 
 
@@ -227,8 +227,7 @@ def _insides(scene, triangle, corner):
     """A place inside the polygon of each corner (K,), in order, near it whatever the polygon's shape: the middle of the
     triangles (T,) that meet there, (K, 3); the width of the widest of them, (K,) [m]; and whether one is wide enough to
     stand on, (K,)."""
-    at = scene.triangle_corner[triangle]
-    a, b, c = np.moveaxis(scene.vertices[scene.corner_vertex[at]], 1, 0)
+    at, (a, b, c) = rows_of(scene.triangle_corner, triangle), scene.corners_of(triangle)
     longest = np.maximum(np.maximum(length(b - a), length(c - b)), length(a - c))
     wide = 2 * scene.triangle_normal_area[1][triangle] / longest
     at, count = np.searchsorted(corner, at).reshape(-1), len(corner)
@@ -238,7 +237,7 @@ def _insides(scene, triangle, corner):
     middle = _mean(np.repeat((a + b + c) / 3, 3, axis=0), at, np.ones(len(at)), count, at_least=1)
     # A corner without a triangle, where the polygon has no area: its vertex.
     there = np.bincount(at, minlength=count) > 0
-    return np.where(there[:, None], middle, scene.vertices[scene.corner_vertex[corner]]), width, stout
+    return np.where(there[:, None], middle, rows_of(scene.vertices, scene.corner_vertex[corner])), width, stout
 
 
 def _moves(scene, corners, cells):
@@ -261,7 +260,7 @@ def _moves(scene, corners, cells):
             triangle = order[slice(*triangles)]
             triangle = triangle[solid[triangle]]
             inner, wide, stout[part] = _insides(scene, triangle, corner)
-            place = scene.vertices[corners.vertex[part]]
+            place = rows_of(scene.vertices, corners.vertex[part])
             way = inner - place
             toward[part], width[part] = way / scale, wide / scale
             up = corners.facing(part)
@@ -318,7 +317,7 @@ def group_corners(vertex, normal, agreement=SAME_NORMAL):
         near = np.empty(len(left), bool)
         for part in runs(len(left)):
             first = leader[run[part]]
-            near[part] = dot(normal[left[part]], normal[first]) >= agreement
+            near[part] = dot(rows_of(normal, left[part]), rows_of(normal, first)) >= agreement
             near[part] |= left[part] == first
         point[left[near]] = count + run[near]
         count += run[-1] + 1
@@ -365,11 +364,12 @@ def _smooth(scene, face_normal):
     """(V,) bool: vertices whose faces bend little, and all of whose edges have a face on either side."""
     count, vertex = len(scene.vertices), scene.corner_vertex
     polygon = np.repeat(np.arange(len(face_normal), dtype=np.int32), np.diff(scene.polygon_start))
-    mean = unit(np.stack([np.bincount(vertex, face_normal[polygon, k], count) for k in range(3)], axis=1))
+    mean = (np.bincount(vertex, np.take(face_normal[:, k], polygon), count) for k in range(3))
+    mean = unit(np.stack(list(mean), axis=1))
     flat = np.ones(count, bool)
     for part in runs(len(vertex)):
         own = vertex[part]
-        flat[own[dot(face_normal[polygon[part]], mean[own]) < BENT]] = False
+        flat[own[dot(rows_of(face_normal, polygon[part]), rows_of(mean, own)) < BENT]] = False
     del polygon, mean
     following = vertex[following_corners(scene.polygon_start)]
     edge = np.minimum(vertex, following).astype(np.int64) * count + np.maximum(vertex, following)

@@ -55,13 +55,22 @@ class RayCaster:
 
     def place(self, points):
         """World points (..., 3) in the space that is traced, float32."""
-        center, scale = self.frame
-        return ((points - center) * scale).astype(np.float32)
+        return self._framed(points, 0.0, np.zeros(3))
 
     def start(self, points, normals):
         """Where rays from surface points (..., 3) set out, float32: `OFFSET` above the surface, along its normal."""
-        center, scale = self.frame
-        return ((points - center) * scale + OFFSET * normals).astype(np.float32)
+        return self._framed(points, OFFSET, normals)
+
+    def _framed(self, points, offset, normals):
+        """Points (..., 3) so far along normals (..., 3), in the space that is traced. Coordinate by coordinate, which takes
+        a quarter to two thirds of the time."""
+        (center, scale), shape = self.frame, np.broadcast_shapes(np.shape(points), np.shape(normals))
+        result = np.empty(shape, np.float32)
+        for k in range(3):
+            along = points[..., k] - center[k]
+            along *= scale
+            result[..., k] = along + offset * normals[..., k] if offset else along
+        return result
 
     def hits(self, origins, directions):
         """The first hit of each of K rays. origins: (K, 3) float32 from `start`; directions: (K, 3) float32.

@@ -14,7 +14,7 @@ import numpy as np
 
 from .filter import SPREAD, Filter
 from .points import pairs
-from .vectors import counted, ratio
+from .vectors import counted, ratio, rows_of
 
 PARTS = ("direct", "found", "reflected")  # of a point's light
 REACH = 0.4  # of the filter, in harmonic mean free distances, at 64 gather rays
@@ -119,7 +119,7 @@ def block_of_light(points, links, replicates, part):
     first, last = np.searchsorted(ids, (part.start, part.stop))
     return dict(
         first=int(first), last=int(last), rays=np.array([r.rays for r in replicates]),
-        position=points.position[ids], normal=points.normal[ids], neighbor_start=start, neighbor=there[kept].astype(np.int32),
+        position=rows_of(points.position, ids), normal=rows_of(points.normal, ids), neighbor_start=start, neighbor=there[kept].astype(np.int32),
         links=links[edge[kept]],
         taken=_stacked(replicates, "taken", ids), nearness=_stacked(replicates, "nearness", ids),
         **{name: _stacked(replicates, name, ids) for name in PARTS},

@@ -219,8 +219,13 @@ def _row_rays(kernel, sides, rays, seed):
     u, v, a, b = _shifted(sides, rays, seed, ROW)
     position, normal = _places(kernel, sides, a, b)
     local = hemisphere(u, v).astype(np.float32)
-    frame = np.stack([*tangents(normal), normal]).astype(np.float32)
-    return position, normal, np.stack([sum(frame[k, ..., d] * local[..., k] for k in range(3)) for d in range(3)])
+    t1, t2, up = (axis.astype(np.float32) for axis in (*tangents(normal), normal))
+    direction = np.empty((3, *u.shape), np.float32)
+    for k in range(3):
+        direction[k] = t1[..., k] * local[..., 0]
+        direction[k] += t2[..., k] * local[..., 1]
+        direction[k] += up[..., k] * local[..., 2]
+    return position, normal, direction
 
 
 def _shifted(sides, count, seed, salt):

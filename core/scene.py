@@ -12,13 +12,14 @@ from functools import cached_property
 
 import numpy as np
 
-from .vectors import counted, cross, length, runs, unit, whole_runs
+from .vectors import by_coordinate, changes, counted, cross, dot, length, rows_of, runs, take, unit, whole_runs
 
 BLACK = (0.0, 0.0, 0.0)
 OUTERMOST = 0.03  # of the vertices, on every side, lie outside of what a bake is about
 # What a scene's shape depends on, and what is found of it once and kept.
 GEOMETRY = {"vertices", "polygon_start", "corner_vertex", "triangle_corner", "triangle_polygon"}
 KNOWN = ("polygon_normal", "triangles", "triangle_normal_area", "solid", "bounds", "diagonal")
+FLAT = 0.9995  # least cosine between the triangles of one flat facet
 LEAST_AREA = 1e-200  # [m^2]; of less, float64 cannot tell the middle
 
 
@@ -192,8 +193,13 @@ class Scene:
         count = len(self.triangles)
         normal, area = np.empty((count, 3)), np.empty(count)
         for part in runs(count):
-            normal[part], area[part] = normal_and_area(*np.moveaxis(self.vertices[self.triangles[part]], 1, 0))
+            normal[part], area[part] = normal_and_area(*self.corners_of(part))
         return normal, area
+
+    def corners_of(self, triangles):
+        """Corners a, b, c, (K, 3) each, of triangles (K,) or a slice of them [m], stored by coordinate."""
+        corner = self.triangles[triangles] if isinstance(triangles, slice) else rows_of(self.triangles, triangles)
+        return tuple(by_coordinate(rows_of(self.vertices, column)) for column in corner.T)
 
     @cached_property
     def solid(self):
@@ -213,6 +219,33 @@ class Scene:
     def usable(self):
         """(T,) bool: the triangles that take part, solid ones of polygons that do not lie on others."""
         return self.solid & ~self.double[self.triangle_polygon]
+
+    @cached_property
+    def facets(self):
+        """The flat parts of polygons: usable triangles (K,) in order of facet, and the facet (K,) of each, 0, 1, ... A planar
+        polygon is one facet; a warped one is a facet per triangle."""
+        triangle = np.flatnonzero(self.usable)
+        polygon = self.triangle_polygon[triangle]
+        bent = np.zeros(len(self.polygon_material), bool)
+        for part in runs(len(triangle)):
+            whole = rows_of(self.polygon_normal, polygon[part])
+            own = rows_of(self.triangle_normal_area[0], triangle[part])
+            bent[polygon[part][dot(own, whole) < FLAT]] = True
+        key = np.where(bent[polygon], len(bent) + np.arange(len(triangle)), polygon)
+        order = np.argsort(key, kind="stable")
+        return triangle[order], np.cumsum(changes(key[order])) - 1
+
+    @cached_property
+    def facet_boxes(self):
+        """Lowest and highest corners (F, 3) of the facets."""
+        triangle, facet = self.facets
+        start = np.append(np.flatnonzero(changes(facet)), len(triangle))
+        low, high = np.empty((2, len(start) - 1, 3))
+        for part in whole_runs(start):
+            begin = start[part.start]
+            corners = self.corners_of(triangle[begin : start[part.stop]])
+            low[part], high[part] = box_of(corners, start[part] - begin)
+        return low, high
 
     @cached_property
     def bounds(self):
@@ -242,6 +275,13 @@ class Scene:
         """Length of the bounding box's diagonal [m]."""
         low, high = self.bounds
         return float(np.sqrt(((high - low) ** 2).sum()))
+
+
+def box_of(corners, start):
+    """Lowest and highest coordinates (F, D) of triangles' corners a, b, c, (K, D) each, over runs that begin at start (F,)."""
+    a, b, c = corners
+    low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+    return np.minimum.reduceat(low, start), np.maximum.reduceat(high, start)
 
 
 def normal_and_area(a, b, c):
@@ -339,6 +379,7 @@ def _newell_normals(vertices, polygon_start, corner_vertex):
     last = corner == polygon_start[1:][polygon] - 1
     following = np.where(last, polygon_start[:-1][polygon], corner + 1)
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
-        origin = vertices[corner_vertex[polygon_start[polygon]]]
-        edge = cross(vertices[corner_vertex] - origin, vertices[corner_vertex[following]] - origin)
+        place = by_coordinate(rows_of(vertices, corner_vertex))
+        origin = take(place, polygon_start[polygon])
+        edge = cross(place - origin, take(place, following) - origin)
         return unit(np.stack([np.bincount(polygon, edge[:, k], len(size)) for k in range(3)], axis=1))

@@ -12,6 +12,7 @@ from .lights import make_sources
 from .records import to_arrays
 from .sampling import R4, R5, fraction, hemisphere, scatter, tangents
 from .sky import cells_of, split_sky
+from .vectors import by_coordinate, rows_of
 
 COMMON = 0.5  # of the light of common interiors is reflected: what is taken where nobody looks
 PLACES = 1024  # that are looked at
@@ -71,8 +72,8 @@ def indirect_share(scene, returned, cells, back=False):
 
 def face_rays(scene, triangle, number, side):
     """Position, normal and direction (K, 3) of cosine-distributed rays from triangles (K,), one each."""
-    a, b, c = np.moveaxis(scene.vertices[scene.triangles[triangle]], 1, 0)
-    normal = scene.triangle_normal_area[0][triangle] * (1 - 2 * side)
+    a, b, c = scene.corners_of(triangle)
+    normal = by_coordinate(rows_of(scene.triangle_normal_area[0], triangle)) * (1 - 2 * side)
     u, v, s, t = fraction(number[:, None] * np.array(R4) + scatter(np.arange(4) + 4 * side, 13)).T
     # A little inside: rays from the very rim of a face see past its neighbors.
     root, t = np.sqrt(INSIDE * s)[:, None], INSIDE * t[:, None] + (1 - INSIDE) / 2
