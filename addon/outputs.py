@@ -244,9 +244,9 @@ class Lightmaps:
         self._flipped, texels = flipped, make_texels(scene, self.atlas, flipped, cells)
         return scene, texels, {**to_arrays("points", texels), **to_arrays("atlas", self.atlas), "flipped": flipped}
 
-    def average(self, texels, light, cells, seed):
+    def average(self, texels, light, cells, seed, places):
         """The light of texels that shadows cut, as `bake` asks for it."""
-        return average_cut(self._scene, self.atlas, self._flipped, texels, light, cells, seed)
+        return average_cut(self._scene, self.atlas, self._flipped, texels, light, cells, seed, places)
 
     copies = staticmethod(lambda objects: Copies())  # of objects, to show the images, there are some anyhow
 

@@ -61,11 +61,11 @@ class Estimate:
         return worst, float(self.objects[worst])
 
 
-def estimate_error(points, light, control, free, bound):
+def estimate_error(points, light, control, free, bound, more=0.0):
     """The Estimate of a Light, from a traced Control. free: (P,) bool, points that do not lie in a corner; bound:
-    certified, of the solve."""
+    certified, of the solve. more: (P,) variance of what points get instead of what light says of them."""
     power = points.area * (light.total * light.total).sum(axis=0)
-    scatter = points.area * light.variance.sum(axis=0)
+    scatter = points.area * (light.variance.sum(axis=0) + more)
     count = int(points.object.max(initial=-1)) + 1
     if not power.sum() > 0:
         return Estimate(objects=np.full(count, np.nan), object_noise=np.zeros(count))

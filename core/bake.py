@@ -39,6 +39,7 @@ from .sky import split_sky
 from .state import State, StateError, scene_prints
 from .steep import make_fine_patches
 from .surfaces import make_surfaces, reflects
+from .vectors import ratio
 
 ROUGH_RAYS = 32  # of a point, to tell where a mesh must be finer
 FINER = 1.5  # times shorter are patches where the usual ones alone keep a bake from its error
@@ -46,6 +47,8 @@ IN_TIME = 0.9  # of the time that is left is spent on another replicate
 PLACED = 100_000  # points that are foreseen where they do not lie on the scene's vertices
 PILOT = 2  # replicates of the pilot: how they scatter shows their noise
 MOST_REPLICATES = 40  # where objects are gathered one by one
+PLACES = (16, 64, 256)  # in a surface over which light is averaged: the first that do
+WELL = 0.3  # of the error asked for: averages that are off by less do
 SOLVED = 0.25  # of the error asked for: a known transport whose bound is below that is good enough
 
 
@@ -104,9 +107,9 @@ def bake(scene, settings, cells, place=None, group_of=None, state=None, average=
     {name: array} to keep: given as `kept`, else None, it returns the same again without a ray; None for the scene's
     corners. light: generator function of Points, that returns (P,) what they get, roughly. group_of: the light group of
     a lamp's or object's name, see groups.make_groups; None keeps no groups. state: the State of a bake of the same
-    scene, to go on from: no ray of it is cast again. average: generator function of (points, light, cells, seed) that
-    returns ids (K,) of the points whose light of sampled sources is that of a whole surface around them, and that light
-    (C, K); None for none. Raises StateError if it is not the same scene."""
+    scene, to go on from: no ray of it is cast again. average: generator function of (points, light, cells, seed, places) that
+    returns ids (K,) of the points whose light of sampled sources is that of a whole surface around them, that light (C, K)
+    and its variance (K,), all channels together; None for none. Raises StateError if it is not the same scene."""
     scene = mend(scene)
     groups = make_groups(scene, group_of, emitting_polygons(scene)) if group_of else None
     if state is not None:
@@ -414,9 +417,9 @@ class _Course:
         """Find the light as it stands, which is then known."""
         yield from _each(self.gathering.smoothing(self.scene.diagonal), lambda _: self._of_control(0.0))
 
-    def _estimate(self):
+    def _estimate(self, more=0.0):
         free = self.gathering.gathered.closest > CROWDED
-        self.estimate = estimate_error(self.points, self._light(), self.control, free, self._bound())
+        self.estimate = estimate_error(self.points, self._light(), self.control, free, self._bound(), more)
 
     def _bound(self):
         """The certified bound of the transport that the replicates have read, of all together."""
@@ -539,7 +542,7 @@ class _Course:
         light = self.gathering.light(self.scene.diagonal)
         if self.averaged is None:
             return light
-        ids, sampled = self.averaged
+        ids, sampled, _, _ = self.averaged
         direct = light.direct.copy()
         direct[:, ids] = np.maximum(direct[:, ids] + (sampled - self.gathering.sampled(ids)), 0.0)
         return replace(light, direct=direct)
@@ -583,10 +586,31 @@ class _Course:
         if self.settings.occlusion is not None and self.openness is None:
             finding = find_openness(self.points, self.settings.occlusion, self.cells, self.settings.seed)
             self.openness = yield from _each(finding, lambda done: self._of_points(done[0]))
-        if average and self.averaged is None:
-            light = self.gathering.light(self.scene.diagonal)
-            averaging = average(self.points, light, self.cells, self.settings.seed)
-            self.averaged = yield from _each(averaging, lambda done: self._of_points(*done))
+        if average:
+            yield from self._average(average)
+
+    def _average(self, average):
+        """Find the light of whole surfaces around points, at so many places that it is not what keeps the bake from its
+        error; see `bake`. What was decided on the way knows nothing of it."""
+        done = self.averaged[-1] if self.averaged else 0
+        for places in PLACES:
+            if places > done and not (
+                self.averaged and self._variance_of_averages() < (WELL * self.settings.error) ** 2
+            ):
+                light = self.gathering.light(self.scene.diagonal)
+                averaging = average(self.points, light, self.cells, self.settings.seed, places)
+                found = yield from _each(averaging, lambda done: self._of_points(*done))
+                self.averaged = (*found, places)
+        if self.control is not None:
+            more = np.zeros(len(self.points))
+            more[self.averaged[0]] = self.averaged[2]
+            self._estimate(more)
+
+    def _variance_of_averages(self):
+        """What the averages' own variance is of the light's power."""
+        ids, _, variance, _ = self.averaged
+        area, total = self.points.area, self._light().total
+        return ratio((area[ids] * variance).sum(), (area * (total * total).sum(axis=0)).sum())
 
     def _show_early(self):
         """Make points to show the light of an unfinished transport at, if they can be known before its end."""

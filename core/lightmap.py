@@ -28,8 +28,8 @@ INSET = 0.1  # how far texels on the rim are moved toward the triangle's middle:
 TASK_TEXELS = 1 << 13
 
 CUT = 0.2  # share of all light at a texel by which direct light beside it differs if a shadow's edge runs there
-PLACES = 16  # in such a texel, at which its direct light is asked for
 TESTS = 4  # test rays at each of them toward a source that gives all of the light
+HALVES = 0.4  # of what two halves of the places differ by, squared, is left in the mean (1/3 at sharp edges, 1 where it is noise)
 ON = 1e-9  # texels: a place so near to a triangle lies on it
 TASK_PLACES = 1 << 11
 
@@ -195,26 +195,33 @@ def _settle(scene, position, normal, edge, flipped, cells):
     return position, moved, free
 
 
-def average_cut(scene, atlas, flipped, texels, light, cells, seed):
-    """Texels (K,) that the edge of a shadow cuts, and their light of sampled sources (C, K), the mean over all of each
-    that the chart has and nothing covers: a generator that yields (places done, all places).
+def average_cut(scene, atlas, flipped, texels, light, cells, seed, places):
+    """Texels (K,) that the edge of a shadow cuts, their light of sampled sources (C, K), the mean over all of each that
+    the chart has and nothing covers, and about the variance (K,) of that, all channels together: a generator that yields
+    (places done, all places).
 
     light: the Light at the texels; flipped: (P,) bool, polygons whose back side's light is asked for. cells: started with
-    the scene's arrays and its sources.
+    the scene's arrays and its sources. places: in a whole texel at which it is asked for, an even number.
     """
     ids = _cut(texels, light)
-    owner, row, weight = _parts(atlas, texels, ids)
+    owner, half, row, weight = _parts(atlas, texels, ids, places)
     position, normal, geometric, _, _ = _places(scene, atlas, flipped, row, weight)
     _, _, free = _settle(scene, position, geometric, np.zeros(len(row)), flipped, cells)
-    owner, places = owner[free], _Places(position[free], normal[free], geometric[free])
-    parts = [np.arange(k, min(k + TASK_PLACES, len(owner))) for k in range(0, len(owner), TASK_PLACES)]
-    total, each = np.zeros((len(light.direct), len(ids))), (block_arrays(places, p, joined=False) for p in parts)
+    slot, spots = (2 * owner + half)[free], _Places(position[free], normal[free], geometric[free])
+    parts = [np.arange(k, min(k + TASK_PLACES, len(slot))) for k in range(0, len(slot), TASK_PLACES)]
+    total, each = np.zeros((len(light.direct), 2 * len(ids))), (block_arrays(spots, p, joined=False) for p in parts)
     for part, result in zip(parts, cells.flow("parts", (dict(seed=seed, **arrays) for arrays in each))):
         for channel, values in zip(total, result["direct"]):
-            channel += np.bincount(owner[part], values, len(ids))
-        yield int(part[-1]) + 1, len(owner)
-    number = np.bincount(owner, minlength=len(ids))
-    return ids[number > 0], total[:, number > 0] / number[number > 0]
+            channel += np.bincount(slot[part], values, 2 * len(ids))
+        yield int(part[-1]) + 1, len(slot)
+    total = total.reshape(len(total), len(ids), 2)
+    number = np.bincount(slot, minlength=2 * len(ids)).reshape(-1, 2)
+    apart = np.subtract(*np.moveaxis(total / np.maximum(number, 1), 2, 0)) / 2
+    groups = len(light.direct) // len(light.variance)
+    apart = apart.reshape(groups, len(light.variance), len(ids)).sum(axis=0)
+    variance = HALVES * (apart * apart).sum(axis=0) * number.all(axis=1)
+    known = number.any(axis=1)
+    return ids[known], (total.sum(axis=2) / np.maximum(number.sum(axis=1), 1))[:, known], variance[known]
 
 
 class _Places(NamedTuple):
@@ -234,27 +241,27 @@ def _cut(texels, light):
     return np.flatnonzero(np.bincount(here, differs, len(texels)))
 
 
-def _parts(atlas, texels, ids):
-    """Places within texels ids (K,), as far as their charts have them: which of the ids (N,), row of the atlas (N,),
-    and weights (N, 3) of its corners."""
+def _parts(atlas, texels, ids, places):
+    """So many places within texels ids (K,), as far as their charts have them: which of the ids (N,), which half of its
+    places (N,), row of the atlas (N,), and weights (N, 3) of its corners."""
     width, height = atlas.size.max(axis=0)
     key = (texels.image[ids].astype(np.int64) * height + texels.line[ids]) * width + texels.column[ids]
     order = np.argsort(key)
     chart = atlas.chart[texels.row[ids]]
     found = [(np.zeros(0, np.int64), np.zeros(0), np.zeros(0, np.int64), np.zeros((0, 3)))]
-    step = np.stack(lattice(PLACES), axis=1)
+    step = np.stack(lattice(places), axis=1)
     for row, column, line, _, _ in rasterize(atlas.place, atlas.size[atlas.image]) if len(ids) else ():
         own = (atlas.image[row] * height + line) * width + column
         at = order[np.minimum(np.searchsorted(key[order], own), len(ids) - 1)]
         met = np.flatnonzero((key[at] == own) & (chart[at] == atlas.chart[row]))
-        row, at = np.repeat(row[met], PLACES), np.repeat(at[met], PLACES)
+        row, at = np.repeat(row[met], places), np.repeat(at[met], places)
         place = np.stack([column[met], line[met]], axis=1)[:, None] + step
         weight, distance = nearest(atlas.place[row], place.reshape(-1, 2))
         inside = distance < ON
-        number = (at * PLACES + np.tile(np.arange(PLACES), len(met)))[inside]
+        number = (at * places + np.tile(np.arange(places), len(met)))[inside]
         found.append(_first(number, distance[inside], row[inside], weight[inside]))
     number, _, row, weight = _first(*(np.concatenate(part) for part in zip(*found)))
-    return number // PLACES, row, weight
+    return number // places, number % places % 2, row, weight
 
 
 def light_parts(kernel, seed, **places):

@@ -31,7 +31,8 @@ from .replicates import Replicate
 from .saving import written_whole
 from .settings import Settings
 
-FORMAT = 6  # of the file; higher when samples of the same seed become others
+FORMAT = 7  # of the file; higher when samples of the same seed become others
+AVERAGED = "averaged.ids", "averaged.direct", "averaged.variance", "averaged.places"
 ANEW = "name another state file to bake it anew"
 DAMAGED = f"it is not a state file, or is damaged: {ANEW}"
 
@@ -49,9 +50,10 @@ class State:
     places: arrays from which points are made again without a ray, {name: array}; side: (P,) the patch side of each.
     gathered: replicates, and the bound of the transport that each of them read, bounds. control: ids and weights of
     control points, drawn from each object or not; traced: their truths; doubt: of the estimate before they were last
-    traced, since the last replicate, times the square root of their rays. openness: (distance, (P,)). averaged: ids (K,) of points whose light of
-    sampled sources is that of a whole surface around them, and that light (C, K). price: the list that the pilot
-    foretold. seconds: {phase: spent so far}, and "replicates" those on `rays` gather rays. note: whoever asked for the
+    traced, since the last replicate, times the square root of their rays. openness: (distance, (P,)).
+    averaged: ids (K,) of points whose light of sampled sources is that of a whole surface around them, that light (C, K),
+    its variance (K,), and the number of places that it is the mean of. price: the list that the pilot foretold. seconds:
+    {phase: spent so far}, and "replicates" those on `rays` gather rays. note: whoever asked for the
     bake may leave one.
     """
 
@@ -309,7 +311,7 @@ def _packed(state):
     if state.openness is not None:
         told["distance"], arrays["openness"] = state.openness
     if state.averaged is not None:
-        arrays.update(zip(("averaged.ids", "averaged.direct"), state.averaged))
+        arrays.update(zip(AVERAGED, state.averaged))
     return arrays, told
 
 
@@ -358,8 +360,9 @@ def _unpacked(arrays, told):
         found["traced"] = replace(traced, **{name: int(getattr(traced, name)) for name in ("rounds", "asked")})
     if "openness" in arrays:
         found["openness"] = told["distance"], arrays["openness"]
-    if "averaged.ids" in arrays:
-        found["averaged"] = arrays["averaged.ids"], arrays["averaged.direct"]
+    if AVERAGED[0] in arrays:
+        *means, places = (arrays[name] for name in AVERAGED)
+        found["averaged"] = (*means, int(places))
     return replace(state, **found)
 
 

@@ -51,8 +51,8 @@ def at_texels(atlas):
         texels = from_arrays(Texels, "points", kept) if kept else make_texels(scene, atlas, flipped, cells)
         return scene, texels, to_arrays("points", texels)
 
-    def average(texels, light, cells, seed):
-        return average_cut(known["scene"], atlas, known["flipped"], texels, light, cells, seed)
+    def average(texels, light, cells, seed, places):
+        return average_cut(known["scene"], atlas, known["flipped"], texels, light, cells, seed, places)
 
     return place, average
 
@@ -329,6 +329,24 @@ def test_texels_that_a_shadow_cuts_have_the_mean_over_their_surface(cells):
     assert changed[cut].mean() > 0.9
     assert changed.sum() < 0.03 * len(changed)
     assert baked.rays < 1.15 * plain.rays
+
+
+@pytest.mark.parametrize(("density", "asked"), [(4.0, 0.1), (16.0, 0.02), (16.0, 0.005)])
+def test_the_estimate_is_of_what_texels_show(density, asked, cells):
+    """Of a sun's hard shadows on black: all that is off are the texels that its edges cut. Where little error is asked for
+    they are looked at in more places."""
+    scene, _ = sunny_floor()
+    atlas = make_atlas(scene, density=density)
+    baked = bake_map(scene, atlas, cells, error=asked)
+    share, shows = sun_in_texels(scene, atlas, baked.points, parts=72)
+    truth = share[shows] / np.sqrt(1 + 0.25 + 0.09)
+    off = baked.light.direct[0, shows] - truth
+    error = np.sqrt((off**2).sum() / (truth**2).sum())
+    assert 0.6 < baked.estimate.total / error < 1.5
+    assert error < asked
+    again = bake_map(scene, atlas, cells, state=baked.state(), error=asked)
+    assert again.estimate.total == baked.estimate.total
+    assert again.converged == baked.converged
 
 
 def test_what_is_reflected_and_what_no_edge_cuts_stays_as_it_is(cells):
