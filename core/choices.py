@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import sqrt
+from math import ceil, sqrt
 
 from .accuracy import ENOUGH, SMALL
 from .effects import SHADOWS
 from .settings import Settings
 
-EASED = 4.0  # times the length of patches where nothing casts a shadow
+EASED = 4.0  # times the length of patches where nothing casts a shadow,
+EVEN = 4.0  # and where light is no further from even: see Survey.contrast
+FEWER = 0.5  # times the rays of its pilot: light is smooth, and the filter takes most of their noise away
+LEAST_PILOT = 4  # rays, of which replicates still tell their noise
+FEWER_FROM = 0.015  # the error asked for: below it a third replicate would follow
 EASED_FROM = 0.01  # the error asked for: below it the longer rows cost more than the patches save
 # Patches are one such part of the scene's focus long, with rows of so many rays, from an error of reflected light on, where
 # sun and sky cast sharp shadows: what such patches miss is up to 20, 4.5 and 2.6 % of reflected light (measured).
@@ -32,14 +36,23 @@ def eased(settings, found):
     """Settings with the longest patches and the shortest rows that do, by what the survey found, unless others were
     asked for.
 
-    In a room in which nothing casts a shadow light varies as slowly as the room is wide, so patches several times as long,
-    with rows of twice the rays, do as well. Elsewhere what patches miss counts by the share of light that is reflected.
+    In a room in which nothing casts a shadow, and no lamp is close to a wall, light varies as slowly as the room is wide, so
+    patches several times as long, with rows of twice the rays, do as well. Elsewhere what patches miss counts by the share
+    of light that is reflected.
     """
     usual = Settings.for_error(settings.error, per_object=settings.per_object)
     if (settings.patch_edge, settings.row_rays, settings.rows) != (usual.patch_edge, usual.row_rays, "rays"):
         return settings
     if shadowless(found) and settings.error >= EASED_FROM:
-        return replace(settings, patch_edge=EASED * settings.patch_edge, row_rays=2 * settings.row_rays)
+        if found.contrast > EVEN:
+            return settings
+        fewer = FEWER if settings.pilot_rays == usual.pilot_rays and settings.error >= FEWER_FROM else 1.0
+        return replace(
+            settings,
+            patch_edge=EASED * settings.patch_edge,
+            row_rays=2 * settings.row_rays,
+            pilot_rays=max(ceil(fewer * settings.pilot_rays), min(LEAST_PILOT, settings.pilot_rays)),
+        )
     if settings.per_object:  # in a dim object much may be reflected
         return settings
     enough = settings.error / max(found.indirect, 1e-9)

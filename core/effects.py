@@ -19,7 +19,7 @@ from .kernel import cast_arrays
 from .lights import emitting_polygons, lamp_outline, lamp_power
 from .sampling import R2, R4, fraction, hemisphere, scatter
 from .settings import EFFECTS, Settings
-from .share import COMMON, face_rays, indirect_share
+from .share import COMMON, face_rays, indirect_share, light_contrast
 from .sky import split_sky
 from .surfaces import LARGEST_REFLECTANCE
 from .vectors import dot, length, unit
@@ -58,7 +58,8 @@ class Survey:
 
     island: (P, 2) int32 number of the part of the scene that each polygon's front and back belong to: light of one
     never reaches another. islands: how many of them have light. indirect: share of the light that is reflected, roughly
-    (root mean square), as far as that has been looked at.
+    (root mean square), as far as that has been looked at. contrast: mean square of what sources give faces, over the square
+    of the mean, where nothing casts a shadow; elsewhere nobody looks.
     """
 
     effects: tuple
@@ -67,6 +68,7 @@ class Survey:
     island: np.ndarray = field(default_factory=lambda: np.zeros((0, 2), np.int32))
     islands: int = 1
     indirect: float = COMMON
+    contrast: float = 1.0
 
     def needs(self, name):
         """Whether an effect is simulated."""
@@ -127,6 +129,7 @@ def survey(scene, settings=None, cells=None):
         island=look.island,
         islands=len(look.lit_islands),
         indirect=look.indirect(),
+        contrast=1.0 if any(effects[name].needed for name in SHADOWS) else light_contrast(scene),
     )
 
 

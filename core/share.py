@@ -1,14 +1,14 @@
-"""How much of the light is reflected: a look at a few places, before there are patches.
+"""How much of the light is reflected, and how evenly it falls: a look at a few places, before there are patches.
 
-What patches average away is an error of reflected light alone. Where sun and sky give nearly all of it, patches may be
-larger for the same error of the whole, and their rows shorter.
+What patches average away is an error of reflected light alone. Where sun and sky give nearly all of it, or lamps light all
+faces about alike, patches may be larger for the same error of the whole, and their rows shorter.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from .lights import make_sources
+from .lights import make_sources, unoccluded
 from .records import to_arrays
 from .sampling import R4, R5, fraction, hemisphere, scatter, tangents
 from .sky import cells_of, split_sky
@@ -16,6 +16,7 @@ from .vectors import by_coordinate, rows_of
 
 COMMON = 0.5  # of the light of common interiors is reflected: what is taken where nobody looks
 PLACES = 1024  # that are looked at
+MOST_PAIRS = 4096  # of a place and a source, to see how evenly light falls
 INSIDE = 0.998  # how far toward its rim rays set out from a face
 FEW = 20.0  # rays that met lit places: of fewer, the light may come from a few spots, and more of it than was seen
 SALT = 29  # of the samples
@@ -30,12 +31,9 @@ def indirect_share(scene, returned, cells, back=False):
     one are near each other in most meshes, so that the product of their light stands for a square, without what chance adds
     to one.
     """
-    triangle = np.flatnonzero(scene.usable & scene.written[scene.polygon_object[scene.triangle_polygon]])
+    triangle = _by_area(scene, scene.usable & scene.written[scene.polygon_object[scene.triangle_polygon]], PLACES)
     if not len(triangle):
         return COMMON
-    upper = np.cumsum(scene.triangle_normal_area[1][triangle])
-    place = (np.arange(PLACES) + 0.5) / PLACES * upper[-1]
-    triangle = triangle[np.minimum(np.searchsorted(upper, place, side="right"), len(triangle) - 1)]
     sources, sampled = make_sources(scene)
     number, sky = np.arange(PLACES), np.pi * split_sky(scene.world)[0].mean(axis=1)
     glow = np.array([np.mean(m.exitance) for m in scene.materials])[scene.polygon_material] * ~sampled
@@ -68,6 +66,28 @@ def indirect_share(scene, returned, cells, back=False):
     once = max(np.sqrt(part), float(reflected.mean())) / max(np.sqrt(square), 1e-300)
     often = once / max(1.0 - once, 1e-9)  # what is reflected again is about the same share of that
     return min(often * (1.0 + FEW / (count + 1.0)), 1.0) if count else 0.0
+
+
+def light_contrast(scene):
+    """Mean square of what all sources would give faces with nothing in between, over the square of its mean; 1 if there is
+    none. A lamp in the middle of a room has 1 to 3, one close to a wall, or a spot, ten times as much."""
+    sources, _ = make_sources(scene)
+    triangle = _by_area(scene, scene.usable, max(MOST_PAIRS // max(len(sources), 1), 1))
+    position, normal, _ = face_rays(scene, triangle, np.arange(len(triangle)), 0)
+    light = np.zeros(len(triangle))
+    for s in range(len(sources)):
+        light += sources.strength[s].mean() * unoccluded(sources, s, position, normal)
+    return float((light * light).mean() / light.mean() ** 2) if light.any() else 1.0
+
+
+def _by_area(scene, chosen, count):
+    """Triangles (count,) of the chosen ones (T,) bool, each as often as its area says; none if none is chosen."""
+    triangle = np.flatnonzero(chosen)
+    if not len(triangle):
+        return triangle
+    upper = np.cumsum(scene.triangle_normal_area[1][triangle])
+    place = (np.arange(count) + 0.5) / count * upper[-1]
+    return triangle[np.minimum(np.searchsorted(upper, place, side="right"), len(triangle) - 1)]
 
 
 def face_rays(scene, triangle, number, side):
