@@ -27,7 +27,7 @@ from ..core.state import ANEW
 from ..core.subdivide import Fitting, fit_mesh, longest_edge, remeshed
 from .errors import Refused, check_memory
 from .images import file_names, image_path, make_image
-from .remesh import carry_groups, groups_of, make_mesh, piece_of
+from .remesh import carried_by, carry, make_mesh, piece_of
 from .shown import forget_others, show
 from .write_result import (
     Copies,
@@ -153,13 +153,17 @@ class FinerColors(VertexColors):
                 piece = piece_of(self._coarse, self.remesh, target)
                 mesh = make_mesh(source, source.name, piece)
                 object = object_of(context.scene, target)
-                groups = groups_of(object)
+                former, carried = object.data, carried_by(object)
                 if self.options.in_place:
                     findings += self._replace_mesh(object, mesh)
                     holder = object
                 else:
                     holder = copy_with(context.scene, target, mesh, formers.get(target.object))
-                carry_groups(holder, groups, source, piece)
+                carry(holder, carried, source, piece)
+                if self.options.in_place and former.users == 0:
+                    name = former.name
+                    bpy.data.meshes.remove(former)
+                    mesh.name = name
             fits.append(replace(target, object=holder.name, first=0, last=len(piece.index), corner=piece.index))
         for fit in fits:
             yield
@@ -167,13 +171,13 @@ class FinerColors(VertexColors):
         return tuple(findings)
 
     def _replace_mesh(self, object, mesh):
-        """Give an object another mesh; returns a Finding if its modifiers are in it now."""
-        name, object.data = object.data.name, mesh
-        mesh.name = name
+        """Give an object another mesh; returns a Finding if its modifiers, and shape keys below them, are in it now."""
+        what = "modifiers and shape keys" if object.data.shape_keys else "modifiers"
+        object.data = mesh
         if not len(object.modifiers):
             return []
         object.modifiers.clear()
-        return [Finding(object.name, "it had modifiers", "they were applied: its mesh is finer than they know")]
+        return [Finding(object.name, f"it had {what}", "they were applied: its mesh is finer than they know")]
 
     def _write(self, context, fit):
         """Write the layers of one finer mesh."""
@@ -336,7 +340,7 @@ class Lightmaps:
             return copy_with(scene, target, source.copy(), former)
         piece = piece_of(self.scene, remesh, target)
         copy = copy_with(scene, target, make_mesh(source, source.name, piece), former)
-        carry_groups(copy, groups_of(object_of(scene, target)), source, piece)
+        carry(copy, carried_by(object_of(scene, target)), source, piece)
         uv = np.zeros((len(self.scene.triangles), 3, 2))
         uv[self.atlas.triangle] = self.atlas.uv
         uv = uv[np.argsort(self.scene.triangle_polygon, kind="stable")].reshape(-1, 2)[piece.index]

@@ -1,8 +1,8 @@
 """Blender meshes made out of others: triangles of their polygons, or pieces of these.
 
-All that a mesh carries comes along: materials, UV maps and other attributes, vertex groups, custom normals, sharp and
-marked edges. Numbers are mixed by the weights of the new vertices and corners; what cannot be mixed comes from the
-nearest.
+All that a mesh carries comes along: materials, UV maps and other attributes, vertex groups, shape keys, custom normals, sharp
+and marked edges, custom properties. Numbers are mixed by the weights of the new vertices and corners; what cannot be mixed
+comes from the nearest.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import bmesh
 import bpy
 import numpy as np
 
-from .marks import made_layers
+from .marks import KEY, made_layers
 
 STRUCTURE = {"position", ".corner_vert", ".corner_edge", ".edge_verts", "custom_normal"}
 # What values are called, how many numbers they hold, and whether they can be mixed.
@@ -23,7 +23,16 @@ KINDS = {
     "FLOAT2": ("vector", 2, np.float32, True), "FLOAT_COLOR": ("color", 4, np.float32, True),
     "BYTE_COLOR": ("color", 4, np.float32, True), "INT32_2D": ("value", 2, np.int32, False),
     "INT16_2D": ("value", 2, np.int32, False), "QUATERNION": ("value", 4, np.float32, False),
+    "FLOAT4X4": ("value", 16, np.float32, False),
 }  # fmt: skip
+OF_KEY = (
+    "value",
+    "mute",
+    "slider_min",
+    "slider_max",
+    "vertex_group",
+    "interpolation",
+)  # of a shape key, beside its shape
 
 
 @dataclass(frozen=True)
@@ -96,15 +105,24 @@ def make_mesh(source, name, piece):
     return mesh
 
 
-def groups_of(object):
-    """The vertex groups of an object as (name, locked) pairs, which `carry_groups` takes."""
-    return [(group.name, group.lock_weight) for group in object.vertex_groups]
+def carried_by(object):
+    """What an object and its mesh carry beside what is in the mesh as it is rendered, as `carry` takes it."""
+    groups = [(group.name, group.lock_weight) for group in object.vertex_groups]
+    return groups, _keys_of(object), {k: v for k, v in object.data.items() if not k.startswith(KEY)}
 
 
-def carry_groups(object, groups, source, piece):
-    """Give an object, whose mesh is `make_mesh`'s, the vertex groups of the object it is made of. source: its mesh."""
-    if not groups:
-        return
+def carry(object, carried, source, piece):
+    """Give an object, whose mesh is `make_mesh`'s, what the object that it is made of carries. source: its mesh."""
+    groups, keys, properties = carried
+    if groups:
+        _carry_groups(object, groups, source, piece)
+    if keys:
+        _carry_keys(object, keys, source, piece)
+    for name, value in properties.items():
+        object.data[name] = value
+
+
+def _carry_groups(object, groups, source, piece):
     first = piece.first_corner
     vertex = _values(source, ".corner_vert", "CORNER")[piece.corner]
     object.vertex_groups.clear()
@@ -121,6 +139,46 @@ def carry_groups(object, groups, source, piece):
                     v[deform][group] = v[deform].get(group, 0.0) + w * value
     made.to_mesh(object.data)
     made.free()
+
+
+def _keys_of(object):
+    """The shape keys of an object as `_carry_keys` takes them: shapes (V, 3), settings, and number of the key that each is
+    relative to; and what animates them. None if it has none, or modifiers that go on from their shape."""
+    keys = object.data.shape_keys
+    if keys is None or len(object.modifiers):
+        return None
+    blocks, found = list(keys.key_blocks), []
+    for block in blocks:
+        shape = np.empty(3 * len(block.data), np.float32)
+        block.data.foreach_get("co", shape)
+        settings = {name: getattr(block, name) for name in OF_KEY}
+        found.append((block.name, shape.reshape(-1, 3), settings, blocks.index(block.relative_key)))
+    return found, keys.use_relative, keys.eval_time, keys.animation_data
+
+
+def _carry_keys(object, keys, source, piece):
+    found, relative, time, animation = keys
+    first = piece.first_corner
+    vertex = _values(source, ".corner_vert", "CORNER")[piece.corner][first]
+    for name, shape, settings, _ in found:
+        block = object.shape_key_add(name=name, from_mix=False)
+        values = _mixed(shape, vertex, piece.part.corner_weight[first]).astype(np.float32).reshape(-1)
+        block.data.foreach_set("co", values)
+        if block == object.data.shape_keys.key_blocks[0]:
+            object.data.vertices.foreach_set("co", values)
+        for setting in ("slider_min", "slider_max", *settings):  # the sliders' ends first: values lie between them
+            setattr(block, setting, settings[setting])
+    made = object.data.shape_keys
+    for block, (*_, other) in zip(made.key_blocks, found):
+        block.relative_key = made.key_blocks[other]
+    made.use_relative, made.eval_time = relative, time
+    if animation is not None:
+        own = made.animation_data_create()
+        own.action = animation.action
+        if animation.action is not None and hasattr(own, "action_slot"):  # from Blender 4.4 on
+            own.action_slot = animation.action_slot
+        for driver in animation.drivers:
+            own.drivers.from_existing(src_driver=driver)
 
 
 def _values(mesh, name, domain):

@@ -315,6 +315,7 @@ GERMAN = {
     "those of the state are longer, or their rows shorter, than {} % asks for": "die des Standes sind länger oder ihre Zeilen kürzer, als {} % verlangt",
     "they were kept: {} % of the error is theirs; without the state they are finer": "sie blieben: {} % des Fehlers sind ihrer; ohne den Stand sind sie feiner",
     "it had modifiers": "es hatte Modifikatoren",
+    "it had modifiers and shape keys": "es hatte Modifikatoren und Shape Keys",
     "they were applied: its mesh is finer than they know": "sie wurden angewandt: sein Mesh ist feiner, als sie wissen",
     "edges of {} m are left, longer than {} m": "Kanten von {} m bleiben, länger als {} m",
     "{} vertices were the most there might be; --vertices sets another limit": "mehr als {} Eckpunkte durften es nicht sein; „Eckpunkte“ setzt eine andere Grenze",

@@ -73,6 +73,34 @@ def test_everything_comes_along(cells, in_place, scale):
     assert light[under].max() < 0.5 * light[beside].min()
 
 
+@pytest.mark.parametrize("in_place", [False, True])
+def test_shape_keys_and_custom_properties_come_along(cells, in_place):
+    """Keys move the finer mesh as they moved the coarse one, wherever it was baked, with their sliders and what drives them."""
+    floor = shaded_floor()
+    floor.data["origin"] = "quarry"
+    floor.shape_key_add(name="Basis")
+    up, bent = floor.shape_key_add(name="up"), floor.shape_key_add(name="bent")
+    for v, w in zip(up.data, bent.data):
+        v.co.z += 0.5
+        w.co.z += 0.5 + abs(w.co.x)
+    bent.relative_key, up.slider_max, up.value, bent.value = up, 2.0, 1.5, 0.0
+    bent.driver_add("value").driver.expression = "0.25"
+    bpy.context.view_layer.update()
+    bake_ours(cells, **FINER, in_place=in_place, objects=("floor",))
+    made = floor if in_place else bpy.data.objects["floor_radiosity"]
+    assert made.data["origin"] == "quarry"
+    assert made.data.name == ("floor" if in_place else "floor_radiosity")
+    keys = made.data.shape_keys.key_blocks
+    assert keys.keys() == ["Basis", "up", "bent"]
+    assert (keys["up"].value, keys["up"].slider_max, keys["bent"].relative_key) == (1.5, 2.0, keys["up"])
+    assert len(made.data.shape_keys.animation_data.drivers) == 1
+    bpy.context.view_layer.update()
+    moved = made.evaluated_get(bpy.context.evaluated_depsgraph_get()).to_mesh()
+    x, _, z = np.array([v.co[:] for v in moved.vertices]).T
+    np.testing.assert_allclose(z, 0.75 + 0.25 * np.abs(x), atol=1e-5)
+    assert max(abs(v.co.z) for v in made.data.vertices) == 0.0
+
+
 def test_again_from_the_original(cells):
     """The next bake starts from the user's mesh, not from the copy."""
     shaded_floor()
@@ -91,10 +119,12 @@ def test_again_from_the_original(cells):
 def test_modifiers_are_applied_in_place_and_it_is_said(cells):
     floor = shaded_floor()
     floor.modifiers.new("array", "ARRAY").count = 2
+    floor.shape_key_add(name="Basis")
     job = bake_ours(cells, **FINER, in_place=True)
     assert not floor.modifiers
+    assert floor.data.shape_keys is None
     assert sum(p.area for p in floor.data.polygons) == pytest.approx(8.0, rel=1e-5)
-    assert any(f.object == "floor" and "modifiers" in f.finding for f in job.changed)
+    assert [(f.object, f.finding) for f in job.changed] == [("floor", "it had modifiers and shape keys")]
 
 
 def test_command(tmp_path):

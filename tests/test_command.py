@@ -279,6 +279,7 @@ def test_prices_are_listed_and_measured(scene, capfd):
 
 def test_each_knob_is_turned_alone_and_drawn(scene, capfd):
     """How many bakes are to come is said before; the same figures are in the table, in the report and in the plot."""
+    pytest.importorskip("matplotlib")
     report, plot = scene.parent / "knobs.json", scene.parent / "knobs.png"
     asked = ["--error", "20", "--errors", "20,10", "--measure", "--report", str(report), "--plot", str(plot)]
     assert main(["price", str(scene), *asked]) == 0
