@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cell_radiosity.core import host, lights
+from cell_radiosity.core import host, lights, pictures
 from cell_radiosity.core.bake import bake, run
 from cell_radiosity.core.cells import LocalCells, make_cells
 from cell_radiosity.core.gather import SEEDS, gather_points, light_arrays, sides_of
@@ -167,7 +167,8 @@ def test_a_guide_is_to_bright_sides_that_can_be_seen():
 @pytest.fixture
 def always(monkeypatch):
     """Rays are guided wherever there is something bright, and most panels are left to them."""
-    monkeypatch.setattr(lights, "MOST_FLATS", lights.MOST_SOURCES)
+    for module in (lights, pictures):
+        monkeypatch.setattr(module, "MOST_FLATS", lights.MOST_SOURCES)
     monkeypatch.setattr(host, "bright_sides", lambda *a: np.append(a[3], 0)[: len(a[5])] > 3 * a[3].mean())
 
 
