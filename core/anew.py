@@ -131,6 +131,8 @@ def _one_source(kernel, position, normal, start, pick, a, b):
     light = np.zeros((sources.strength.shape[1], len(position)))
     if not len(sources) and crowd is None:
         return light
+    if len(sources) == 1 and crowd is None:
+        return sources.strength[0][:, None] * _from_source(kernel, sources, 0, position, normal, start, a, b)
     likely, given = [likely_light(sources, s, position, normal) for s in range(len(sources))], None
     if crowd is not None:  # it counts as one more
         given = crowd.given(position, normal)
@@ -143,7 +145,7 @@ def _one_source(kernel, position, normal, start, pick, a, b):
     position, normal, start = take(position, order), take(normal, order), take(start, order)
     picked, pick, a, b = picked[order], pick[order], a[order], b[order]
     over = upto[-1, order] / likely[picked, order]
-    for s in np.unique(picked):
+    for s in np.flatnonzero(np.diff(ends)):
         mine = slice(*ends[s : s + 2])
         place, up = position[mine], normal[mine]
         if s == len(sources):
@@ -160,4 +162,7 @@ def read_light(light, side):
     """(C, K) light (C, 2 N + 1) of the sides (K,) that rays met; 0 where there is no such light at all."""
     if not light.size:
         return np.zeros((len(light), len(side)))
-    return np.stack([np.take(channel, side, mode="wrap") for channel in light])
+    read = np.empty((len(light), len(side)))
+    for channel, result in zip(light, read):
+        np.take(channel, side, mode="wrap", out=result)
+    return read

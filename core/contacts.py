@@ -58,14 +58,15 @@ def find_contacts(kernel, ids):
         start, stop = kernel.caster.place(start), kernel.caster.place(stop)
         found = blocker[part]
         for side in (1, -1):
-            triangle, u, v, distance, _ = kernel.caster.hits(start + side * lift, stop - start)
-            met = np.flatnonzero((triangle >= 0) & (distance < 1.0))
-            corners = rows_of(kernel.triangles, triangle[met]).T
+            begin = start + side * lift
+            # Whether anything is met takes a third of the time of what it is, and most meet nothing.
+            met = np.flatnonzero(kernel.caster.blocked(begin, begin + (stop - start)))
+            triangle, u, v, distance, _ = kernel.caster.hits(begin[met], (stop - start)[met])
+            corners = rows_of(kernel.triangles, triangle).T
             facing = normal_and_area(*(by_coordinate(rows_of(kernel.vertices, corner)) for corner in corners))[0]
-            across = np.abs(dot(facing, rows_of(normal, met))) < ALONG
-            across &= kernel.patch_hit(triangle[met], u[met], v[met]) != own[owner[met]]
-            met = met[across]
-            found[owner[met]] = triangle[met]
+            across = (triangle >= 0) & (distance < 1.0) & (np.abs(dot(facing, rows_of(normal, met))) < ALONG)
+            across &= kernel.patch_hit(triangle, u, v) != own[owner[met]]
+            found[owner[met[across]]] = triangle[across]
     return {"blocker": blocker}
 
 

@@ -133,6 +133,8 @@ def control_points(kernel, rays, seed, **points):
     found = kernel.arrays["gather.found"]
     truth = direct_light(kernel, points, kernel.factors_at(points), min(rays, DIRECT_TESTS), FEWEST_TESTS, seed)
     patches = np.zeros_like(truth)
+    if not (kernel.arrays["gather.reflectance"].any() or kernel.arrays["gather.through"].size or found.size):
+        return {"truth": truth, "patches": patches}  # rays bring nothing
     shooter = Shooter(kernel, points, rays, seed)
     for part in blocks(len(points), shooter.each):
         hit, weight = shooter.shoot(part)

@@ -159,7 +159,7 @@ def patch_of_hit(patches, vertices, triangles, triangle, u, v):
         place = [p + s * (q - p) + t * (r - p) for p, q, r in zip(a, b, c)]
         cut = -1 - np.take(patch, hit)
         planes, front = np.take(patches.cut_plane, cut, axis=0), np.zeros(len(hit), np.int64)
-        for k in range(CUTS):
+        for k in np.flatnonzero(patches.cut_plane.any(axis=(0, 2))):
             x, y, z, level = planes[:, k].T
             front |= (x * place[0] + y * place[1] + z * place[2] > level).astype(np.int64) << k
         patch[hit] = patches.cut_patch[cut, front]
