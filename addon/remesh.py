@@ -13,7 +13,7 @@ import bmesh
 import bpy
 import numpy as np
 
-from .marks import KEY, made_layers
+from .marks import KEY
 
 STRUCTURE = {"position", ".corner_vert", ".corner_edge", ".edge_verts", "custom_normal"}
 # What values are called, how many numbers they hold, and whether they can be mixed.
@@ -91,10 +91,9 @@ def make_mesh(source, name, piece):
         "FACE": (polygon[:, None], np.ones((len(polygon), 1))),
         "EDGE": _edge_sources(mesh, source, *of_vertex),
     }
-    ours = made_layers(source)
     for attribute in source.attributes:
         known = attribute.data_type in KINDS and attribute.domain in origins
-        if known and attribute.name not in STRUCTURE | ours and not attribute.name.startswith("."):
+        if known and attribute.name not in STRUCTURE and not attribute.name.startswith("."):
             _carry(mesh, source, attribute, *origins[attribute.domain])
     _copy_choices(mesh, source)
     if source.has_custom_normals:

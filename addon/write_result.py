@@ -268,9 +268,13 @@ def _corner_vertices(mesh):
 
 
 def _evaluated_mesh(object, depsgraph):
-    """A new mesh of what an object's modifiers make of it."""
+    """A new mesh of what an object's modifiers make of it, without the layers that earlier bakes have left on it."""
     evaluated = object.evaluated_get(depsgraph)
-    return bpy.data.meshes.new_from_object(evaluated, preserve_all_data_layers=True, depsgraph=depsgraph)
+    mesh = bpy.data.meshes.new_from_object(evaluated, preserve_all_data_layers=True, depsgraph=depsgraph)
+    for name in made_layers(object.data):
+        if name in mesh.color_attributes:
+            mesh.color_attributes.remove(mesh.color_attributes[name])
+    return mesh
 
 
 def _result_copy(scene, object, mesh, former):

@@ -116,6 +116,21 @@ def test_again_from_the_original(cells):
     assert not bpy.data.objects["floor"].hide_render
 
 
+def test_copies_do_not_take_the_layers_of_other_bakes_along(cells):
+    """Their light would be that of another time, and nobody would know that it is ours."""
+    floor = shaded_floor()
+    floor.data.color_attributes.new("paint", "BYTE_COLOR", "CORNER")
+    bake_ours(cells, layers=("Direct", "Indirect"))
+    bake_ours(cells, **FINER, layers=("Lighting",))
+    assert bpy.data.objects["floor_radiosity"].data.color_attributes.keys() == ["paint", "Lighting"]
+    bake_ours(cells, target="lightmap")
+    assert bpy.data.objects["floor_radiosity"].data.color_attributes.keys() == ["paint"]
+    floor.modifiers.new("array", "ARRAY").count = 2
+    bake_ours(cells, layers=("Lighting",))
+    assert bpy.data.objects["floor_radiosity"].data.color_attributes.keys() == ["paint", "Lighting"]
+    assert floor.data.color_attributes.keys() == ["paint", "Direct", "Indirect"]
+
+
 def test_modifiers_are_applied_in_place_and_it_is_said(cells):
     floor = shaded_floor()
     floor.modifiers.new("array", "ARRAY").count = 2
