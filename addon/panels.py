@@ -16,7 +16,7 @@ from .translations import CONTEXT, tr, tr_message
 from .viewport import has_result, layer_names
 
 LETTER = 6.2  # pixels of a letter at a resolution scale of 1, about
-WORTH_SAYING = 0.01  # seconds of work that leaving an effect out has spared
+WORTH_SAYING = 0.05  # seconds of work: less would be told as none
 SHOWN = 12  # findings that a list shows; of the rest only the number is told
 
 
@@ -232,7 +232,7 @@ class RADIOSITY_PT_effects(_Panel, bpy.types.Panel):
         for effect in result.effects:
             icon = "CHECKBOX_HLT" if effect.needed else "CHECKBOX_DEHLT"
             text = f"{tr(effect.name.capitalize())}: {tr_message(effect.reason)}"
-            known = effect.seconds >= (0.0 if effect.needed else WORTH_SAYING)
+            known = effect.seconds >= WORTH_SAYING
             told = "{} s of work" if effect.needed else "about {} s of work spared"
             cost = f" ({tr(told, _seconds(effect.seconds))})" if known else ""
             _paragraph(layout, text + cost, icon)

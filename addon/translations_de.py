@@ -45,7 +45,7 @@ GERMAN = {
     # Settings.
     "Accuracy": "Genauigkeit",
     "How far the light may be off, root mean square over the surface, relative to the light itself": "Wie weit das Licht abweichen darf, im quadratischen Mittel über die Oberfläche, im Verhältnis zum Licht selbst",
-    "Draft": "Entwurf",
+    "Draft": "Grob",
     "10 % error: a first look": "10 % Fehler: ein erster Blick",
     "Good": "Gut",
     "2 % error: noise is hard to see": "2 % Fehler: Rauschen ist kaum zu sehen",
