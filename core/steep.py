@@ -28,7 +28,12 @@ def make_fine_patches(scene, sources, edge, growth):
     """The Patches of a scene, see `make_patches`, shorter where light of Sources falls off steeply; None: nowhere."""
     patches = make_patches(scene, edge, growth)
     crowd = make_crowd(sources, sources.kind <= BALL, scene.diagonal) if sources is not None else None
-    if edge is None or crowd is None or not 0 < len(patches) * len(crowd) <= MOST_PAIRS or not patches.area.any():
+    if (
+        edge is None
+        or crowd is None
+        or not 0 < len(patches) * len(crowd.members) <= MOST_PAIRS
+        or not patches.area.any()
+    ):
         return patches
     slope = np.zeros(len(patches))
     size = np.sqrt(patches.area)
@@ -37,7 +42,7 @@ def make_fine_patches(scene, sources, edge, growth):
             part = slice(k, k + 4096)
             found = crowd.slope(patches.centroid[part], sign * patches.normal[part], size[part])
             slope[part] = np.maximum(slope[part], found)
-    mean = AGAIN * crowd.flux() / patches.area.sum()
+    mean = AGAIN * crowd.members.flux() / patches.area.sum()
     change = ratio(slope * np.minimum(size, edge), mean)
     wanted = np.clip(np.sqrt(ratio(STEEP, change)), FINEST, 1.0)
     wanted[change <= STEEP] = 1.0

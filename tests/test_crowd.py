@@ -118,6 +118,38 @@ def test_patches_get_their_mean(among, rng):
     assert abs(found.sum() / light.sum() - 1) < 3e-3
 
 
+@pytest.mark.parametrize("two_sided", [False, True])
+@pytest.mark.parametrize("turned", [False, True])
+def test_groups_are_known_from_afar(two_sided, turned, rng):
+    """What they are given is what their members give in all, whichever way these are turned; and near ones are exact."""
+    axes = frames(rng, 64) if turned else [((1, 0, 0), (0, 1, 0), (0, 0, 1))] * 64
+    lamps = [Lamp("area", (1.0,) * 3, tuple(p), a, size=(0.1, 0.1)) for p, a in zip(rng.uniform(0, 1, (64, 3)), axes)]
+    sources, _ = make_sources(join_meshes([], lamps=lamps))
+    sources = replace(sources, two_sided=np.full(64, two_sided))
+    crowd = make_crowd(sources, np.ones(64, bool), 3.0)
+    position = rng.normal(size=(2000, 3))
+    position = 0.5 + 4 * position / np.sqrt((position**2).sum(axis=1))[:, None]
+    normal = np.array([f[2] for f in frames(rng, len(position))])
+    light = sum(unoccluded(sources, s, position, normal) for s in range(64)) * np.pi
+    given = crowd._sums(crowd._place(position, normal)).astype(float).sum(axis=1) * crowd._relative[1]
+    above = ((0.5 - position) * normal).sum(axis=1) > 1.0  # the horizon cuts none
+    assert off(given[above], light[above]) < (0.07 if turned else 0.03)
+    assert abs(given[above].mean() / light[above].mean() - 1) < 0.03
+
+
+def test_a_place_looks_at_few_of_many(rng):
+    """Members that are looked at, for each place: no more than a few times the root of their number."""
+    looked = []
+    for count in (256, 16_384):
+        place = rng.uniform(0, 4, (count, 3))
+        sources, _ = make_sources(join_meshes([], lamps=[Lamp("point", (1.0,) * 3, tuple(p)) for p in place]))
+        crowd = make_crowd(sources, np.ones(count, bool), 7.0)
+        place = crowd._place(rng.uniform(0, 4, (500, 3)), np.tile((0.0, 0.0, 1.0), (500, 1)))
+        looked.append(len(crowd._first[0]) + crowd._far(place)[1].sum() * crowd._first[2] / 500)
+    assert looked[1] < 24 * looked[0]
+    assert looked[1] < 0.2 * count
+
+
 def test_search_finds_what_searching_each_row_finds(rng):
     for count in (1, 2, 7, 64, 100):
         upto = np.cumsum(rng.random((20, count)) * (rng.random((20, count)) > 0.3), axis=1)
@@ -233,12 +265,17 @@ def test_pieces_fill_their_sources(monkeypatch, rng):
     for shapes in (corners, quads):
         sources, _ = faces(shapes.reshape(-1, 3), np.arange(shapes[..., 0].size).reshape(len(shapes), -1).tolist())
         crowd = make_crowd(sources, np.ones(len(sources), bool), 3.0)
-        assert len(crowd) > 3 * len(sources)
-        area = np.bincount(crowd.source, crowd.area)
+        assert len(crowd.members) > 3 * len(sources)
+        area = np.bincount(crowd.members.source, crowd.members.area)
         np.testing.assert_allclose(area, sources.areas)
-        middle = np.stack([np.bincount(crowd.source, crowd.area * x) for x in crowd.center.T], axis=1) / area[:, None]
+        middle = (
+            np.stack(
+                [np.bincount(crowd.members.source, crowd.members.area * x) for x in crowd.members.center.T], axis=1
+            )
+            / area[:, None]
+        )
         np.testing.assert_allclose(middle, sources.position, atol=1e-9)
-        assert crowd.reach.max() < 0.5 * sources.reaches.max()
+        assert crowd.members.reach.max() < 0.5 * sources.reaches.max()
 
 
 def tube(gap):
