@@ -1,8 +1,9 @@
 """Light that a hit reflects, sampled anew: not as its patch has it, but as it is at that very place.
 
-A patch has one radiosity; where shadows and contacts are finer than it, rays that ask for the truth go on: with a test
-ray to one source, and one more ray, and a guided one if there are any, whose hits then read the patches. All rays that
-meet a side across which the shadow of a bright source ends ask anew for the light of that one source.
+A patch has one radiosity; where shadows and contacts are finer than it, rays go on: with a test ray to one source, and one
+more ray, and a guided one if there are any, whose hits then read the patches. All do that which ask for the truth, and
+those of fine meshes that meet a coarse patch nearby. All that meet a side across which the shadow of a bright source ends
+ask anew for the light of that one source.
 """
 
 from __future__ import annotations
@@ -13,11 +14,15 @@ import numpy as np
 
 from .guide import Aim
 from .lights import from_one_test, likely_light, test_rays
-from .sampling import R2, fraction, hemisphere, scatter, tangents
+from .sampling import R2, fraction, hemisphere, ray_samples, scatter, tangents
 from .scene import normal_and_area
 from .vectors import TINY, by_coordinate, take
 
-EDGE = 12  # salt of the samples
+EDGE, GO_ON = 12, 11  # salts of the samples
+# Hits of rays of fine meshes that are nearer than a side is long, times this, go on: a ball on a table gets what the table
+# reflects beside it and below it, not its mean. In the hall, balls were up to 4.6 % off at 2 % per object, now 1.3 %.
+CLOSE = 1.0
+FINE = 0.5  # times as long: a mesh whose points are nearer to one another is fine; coarser ones show no such detail
 BRIGHT = 1.0  # times what points get in the mean: as much a source must add to what a side reflects, or its edge is no matter
 NEAR = 4.0  # times as long as a side is: hits from further away read its mean
 APART = (0.41421356237309503, 0.7320508075688772)  # steps from point to point of the samples' shifts
@@ -48,16 +53,31 @@ def edge_arrays(edges, reflectance, level):
     return {"edges.source": source, "edges.mean": mean}
 
 
-def read_reflected(kernel, hit, ids, each, seed):
-    """(C, K * each) light [W/m^2] that sides reflect toward rays that met them: Hits of `each` rays from places ids
-    (K,). On edges the light of the source is that of the very place, seen by one test ray: near them, and there are
-    few, a mean over the side is what is most wrong with the light of the points."""
+def read_reflected(kernel, hit, ids, size, seed, anew=None):
+    """(C, K * n) light [W/m^2] that sides reflect toward rays that met them: Hits of n rays from each of places ids (K,).
+
+    On edges the light of the source is that of the very place, seen by one test ray: near them, and there are few, a mean
+    over the side is what is most wrong with the light of the points. Where rays from a fine mesh meet a side nearby, all
+    light is that of the very place. size: (K,) square root of the area that each place stands for [m]. anew: (C, K * n)
+    light of all hits that go on, if it is known.
+    """
+    each = len(hit.side) // max(len(ids), 1)
     light, source = read_light(kernel.arrays["gather.reflected"], hit.side), kernel.arrays["edges.source"]
+    close = bool(kernel.arrays["gather.close"]) and kernel.occluded
+    if not close and not len(source):
+        return light
+    there = np.flatnonzero(hit.side >= 0)
+    distance, side = hit.distance[there] / kernel.caster.frame[1], hit.side[there]
+    length = np.sqrt(kernel.patches.area[side >> 1])
+    if close:
+        own = (distance < CLOSE * length) & (np.repeat(size, each)[there] < FINE * length)
+        chosen = there[own]
+        samples = None if anew is not None else ray_samples(ids, each, GO_ON + 8 * seed)[:, chosen]
+        light[:, chosen] = anew[:, chosen] if anew is not None else reflect_anew(kernel, hit, chosen, samples)
+        there, distance, side, length = (x[~own] for x in (there, distance, side, length))
     if not len(source):
         return light
-    there = np.flatnonzero((hit.side >= 0) & (np.take(source, hit.side, mode="clip") >= 0))
-    distance = hit.distance[there] / kernel.caster.frame[1]
-    there = there[distance * distance < NEAR * NEAR * kernel.patches.area[hit.side[there] >> 1]]
+    there = there[(source[side] >= 0) & (distance < NEAR * length)]
     picked = source[hit.side[there]]
     for s in np.unique(picked):
         chosen = there[picked == s]

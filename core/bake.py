@@ -12,7 +12,7 @@ import numpy as np
 
 from .accuracy import CROWDED, MOST_RAYS, Estimate, estimate_error, rays_by_object, rays_wanted
 from .cells import LocalCells
-from .choices import control_points, control_rays, eased, finer, more_control, shadowless
+from .choices import control_points, control_rays, eased, finer, goes_on, more_control, shadowless
 from .clock import Clock
 from .contacts import cut_contacts
 from .control import Control, Traced, draw_control
@@ -328,7 +328,8 @@ class _Course:
 
     def _gathering(self, points, side, gathered=None):
         """A Gathering at points, (P,) on patch sides."""
-        self.cells.start(light_arrays(points, self.solution, self.surfaces, self.sky, side))
+        close = goes_on(self.settings)
+        self.cells.start(light_arrays(points, self.solution, self.surfaces, self.sky, side, close))
         start = partial(patch_light, side, self.solution)
         return Gathering(
             points, len(self.solution.direct), start, self.cells, self.settings, self._group_count, gathered

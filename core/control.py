@@ -17,7 +17,7 @@ from .gather import SEEDS, TASK_RAYS, Shooter, weighted_sum
 from .kernel import blocks
 from .lights import test_rays
 from .points import Block, block_arrays
-from .sampling import R2, R5, fraction, scatter
+from .sampling import R2, fraction, ray_samples, scatter
 from .vectors import ratio
 
 CONTROL = 6  # salt of the sample sequences
@@ -141,18 +141,12 @@ def control_points(kernel, rays, seed, **points):
         counts = (hit.side >= 0) & (weight.reshape(-1) > 0)
         emitted = read_light(found, hit.side)
         deeper = np.zeros((len(truth), len(counts)))
-        samples = _samples(points.ids[part], shooter.each, seed)[:, counts]
+        samples = ray_samples(points.ids[part], shooter.each, CONTROL + 8 * seed)[:, counts]
         deeper[:, counts] = reflect_anew(kernel, hit, np.flatnonzero(counts), samples)
-        flat = np.where(counts, read_reflected(kernel, hit, points.ids[part], shooter.each, seed), 0.0)
+        flat = np.where(counts, read_reflected(kernel, hit, points.ids[part], points.size[part], seed, deeper), 0.0)
         truth[:, part] += weighted_sum(emitted + deeper, weight)
         patches[:, part] = weighted_sum(flat - deeper, weight)
     return {"truth": truth, "patches": patches}
-
-
-def _samples(ids, rays, seed):
-    """(5, K * rays) samples in [0, 1) of the rays of points ids (K,): the R5 sequence, shifted by point."""
-    shift = scatter(5 * ids.astype(np.int64)[:, None] + np.arange(5), CONTROL + 8 * seed)
-    return fraction(shift.T[:, :, None] + R5[:, None, None] * np.arange(rays)).reshape(5, -1)
 
 
 def direct_light(kernel, points, factor, tests, fewest, seed):

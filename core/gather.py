@@ -201,9 +201,10 @@ class Gathering:
         return light
 
 
-def light_arrays(points, solution, surfaces, sky, side):
+def light_arrays(points, solution, surfaces, sky, side, close):
     """The arrays that cells need to gather at points, as {name: array}. sky: (C, M) exitance of the
-    world, of each cell of its map [W/m^2]. side: (P,) the patch side that each point lies on."""
+    world, of each cell of its map [W/m^2]. side: (P,) the patch side that each point lies on. close: whether near hits of
+    fine meshes go on, see `anew`."""
     light = solution.irradiance[:, side].max(axis=0)
     # What rays bring, with what comes from beyond last: reflected light, and light no sampled source stands for.
     reflected = np.column_stack([solution.reflected, np.zeros_like(sky)])
@@ -224,6 +225,7 @@ def light_arrays(points, solution, surfaces, sky, side):
         "gather.reflectance": surfaces.reflectance,
         "gather.through": through,
         "gather.level": level,
+        "gather.close": np.array(close),
         **edge_arrays(solution.edges if reflected.any() else None, surfaces.reflectance, level),
         "gather.found": found if found.any() else nothing,
     }
@@ -253,7 +255,7 @@ def gather_points(kernel, rays, tests, seed, links, **points):
     for part in blocks(len(points), shooter.each):
         hit, weight = shooter.shoot(part)
         if reflected.size:
-            light = read_reflected(kernel, hit, points.ids[part], shooter.each, seed)
+            light = read_reflected(kernel, hit, points.ids[part], points.size[part], seed)
             result["reflected"][:, part] = weighted_sum(light, weight)
         if found.size:
             result["found"][:, part] = weighted_sum(read_light(found, hit.side), weight)

@@ -207,7 +207,8 @@ def average_cut(scene, atlas, flipped, texels, light, cells, seed, places):
     owner, half, row, weight = _parts(atlas, texels, ids, places)
     position, normal, geometric, _, _ = _places(scene, atlas, flipped, row, weight)
     _, _, free = _settle(scene, position, geometric, np.zeros(len(row)), flipped, cells)
-    slot, spots = (2 * owner + half)[free], _Places(position[free], normal[free], geometric[free])
+    slot, none = (2 * owner + half)[free], np.zeros(np.count_nonzero(free))
+    spots = _Places(position[free], normal[free], geometric[free], none)
     parts = [np.arange(k, min(k + TASK_PLACES, len(slot))) for k in range(0, len(slot), TASK_PLACES)]
     total, each = np.zeros((len(light.direct), 2 * len(ids))), (block_arrays(spots, p, joined=False) for p in parts)
     for part, result in zip(parts, cells.flow("parts", (dict(seed=seed, **arrays) for arrays in each))):
@@ -225,11 +226,12 @@ def average_cut(scene, atlas, flipped, texels, light, cells, seed, places):
 
 
 class _Places(NamedTuple):
-    """Places on surfaces, their normals and geometric normals (N, 3)."""
+    """Places on surfaces, their normals and geometric normals (N, 3), and area (N,), of places none."""
 
     position: np.ndarray
     normal: np.ndarray
     geometric: np.ndarray
+    area: np.ndarray
 
 
 def _cut(texels, light):

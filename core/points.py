@@ -119,12 +119,13 @@ def make_points(scene, flipped=None, cells=None):
 class Block:
     """K points and, behind them, those of their neighbors that are not among them: N in all, as they travel with a task.
 
-    ids: (N,) int32 their numbers among all points, the first K in order. position, normal, geometric: (N, 3), see Points;
-    geometric is empty where it is the normal. degree: (K,) int32 number of the neighbors of each; neighbor: (E,) int32
-    which of the N they are, one point's after the other's.
+    ids: (N,) int32 their numbers among all points, the first K in order. size: (K,) float32 square root of the area [m].
+    position, normal, geometric: (N, 3), see Points; geometric is empty where it is the normal. degree: (K,) int32 number
+    of the neighbors of each; neighbor: (E,) int32 which of the N they are, one point's after the other's.
     """
 
     ids: np.ndarray
+    size: np.ndarray
     position: np.ndarray
     normal: np.ndarray
     geometric: np.ndarray
@@ -168,7 +169,7 @@ def block_arrays(points, own, joined=True):
         ids = np.concatenate([own, more])
     position, normal, geometric = (np.take(x, ids, axis=0) for x in (points.position, points.normal, points.geometric))
     return dict(
-        ids=ids.astype(np.int32), position=position, normal=normal,
+        ids=ids.astype(np.int32), size=np.sqrt(points.area[own]).astype(np.float32), position=position, normal=normal,
         geometric=geometric[: 0 if (geometric == normal).all() else None],
         degree=degree, neighbor=there,
     )  # fmt: skip

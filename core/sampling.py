@@ -52,6 +52,12 @@ def mix(keys, salt):
     return _fraction(z)
 
 
+def ray_samples(ids, rays, salt):
+    """(5, K * rays) samples in [0, 1) for the rays of places ids (K,): the R5 sequence, shifted by place."""
+    shift = scatter(5 * ids.astype(np.int64)[:, None] + np.arange(5), salt)
+    return fraction(shift.T[:, :, None] + R5[:, None, None] * np.arange(rays)).reshape(5, -1)
+
+
 def _step(count):
     return np.uint64((0x9E3779B97F4A7C15 * count) & (2**64 - 1))
 

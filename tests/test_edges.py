@@ -55,6 +55,19 @@ def test_beside_an_edge_the_light_is_what_the_closed_form_says(monkeypatch):
     assert error_at_wall(run(bake(half_lit(), settings(), LocalCells()))) > 0.2
 
 
+def test_near_hits_of_a_fine_mesh_go_on(monkeypatch):
+    """The same light, when each object is to reach the error: without any edge, all of it from where rays meet the floor."""
+
+    def error(**changed):
+        for name, value in changed.items():
+            monkeypatch.setattr(anew, name, value)
+        return error_at_wall(run(bake(half_lit(), settings(per_object=True), LocalCells())))
+
+    assert error(NEAR=0.0) < 0.03  # from further away than the floor is long, its mean is read
+    assert error(FINE=1e-3) > 0.2
+    assert error(FINE=0.5, CLOSE=0.0) > 0.2
+
+
 def test_further_away_the_mean_is_read(monkeypatch):
     """One ray among many that meets a strip of light says less of it than its mean: only near hits are read anew."""
 

@@ -53,9 +53,8 @@ def lit():
     sides = np.flatnonzero(glows > 0).astype(np.int32)
     guide = Guide(sides, glows[sides] * solved.patches.area[sides >> 1])
     points = make_points(scene, np.zeros(len(scene.polygon_material), bool), cells)
-    arrays = light_arrays(
-        points, replace(solved.solution, guide=guide), solved.surfaces, np.zeros((3, 1)), sides_of(points, cells)
-    )
+    solution, side = replace(solved.solution, guide=guide), sides_of(points, cells)
+    arrays = light_arrays(points, solution, solved.surfaces, np.zeros((3, 1)), side, close=False)
     kernel = cells._kernel.renewed(arrays)
     return kernel, points, guide, solved
 
