@@ -121,7 +121,8 @@ def test_emitter_like_cycles(cells, name):
         place = np.array([mesh.vertices[loop.vertex_index].co[:2] for loop in mesh.loops])
         quarter, found = (place > 0) @ (1, 2), colors(mesh, "Direct")
         for k in range(4):
-            # Cycles' noise: of a picture up to 2 %.
+            # Cycles' noise, which differs by version: of a picture up to 2 %, on many faces up to 4 %.
+            noise = {"see-through": 0.012, "ball": 0.012, "picture on a fine mesh": 0.05}.get(name, 0.03)
             a, b = found[quarter == k].mean(axis=0), direct[object][quarter == k].mean(axis=0)
-            np.testing.assert_allclose(a, b, rtol=0.012 if name in ("see-through", "ball") else 0.03)
+            np.testing.assert_allclose(a, b, rtol=noise)
         np.testing.assert_allclose(colors(mesh, "Lighting").mean(axis=0), whole[object].mean(axis=0), rtol=0.025)
