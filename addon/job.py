@@ -152,6 +152,8 @@ def check_scene(scene, targets, options):
         if left:
             raise Refused(f"there is nothing to write to: {left.object}: {left.finding}; {left.action}")
         names = f"no mesh matches {', '.join(options.objects)}"
+        if options.objects == NOTHING:
+            names = "no object is selected"
         raise Refused(f"there is nothing to write to: {names if options.objects else 'no mesh object of its own'}")
     if not (scene.lamps or len(emitting_polygons(scene)) or scene.world.brightest > 0):
         raise Refused("nothing gives light: add a lamp, an emitting material or a world color")

@@ -16,7 +16,7 @@ from .job import Job
 from .marks import is_made, made_layers, unmark_layers
 from .preferences import preference
 from .preflight import price_key
-from .running import Running, phase_text
+from .running import Running, percent, phase_text
 from .session import Session, writing
 from .shown import forget_others
 from .steps import in_steps
@@ -287,7 +287,7 @@ class RADIOSITY_OT_bake(_Work, bpy.types.Operator):
         else:
             text = tr("Baked {} points in {} s", result.points, f"{result.seconds:.1f}")
         if result.error >= 0:
-            text += ", " + tr("error {} %", f"{100 * result.error:.2g}")
+            text += ", " + tr("error {} %", percent(result.error))
         count = len(result.health)
         if count:
             self.report({"WARNING"}, text + ". " + tr("Findings: {}, see Health in the panel", count))
@@ -450,7 +450,7 @@ class RADIOSITY_OT_set_up_materials(_OfResult, bpy.types.Operator):
         layer = context.scene.radiosity.shown or "Radiosity"
         objects = [o for o in context.scene.objects if o.type == "MESH" and layer in layers_of(o.data)]
         count = material_setup.set_up(objects, layer, self.kind)
-        self.report({"INFO"}, tr("{} materials show {}; Take Out of Materials undoes it", count, layer))
+        self.report({"INFO"}, tr("Materials that show {}: {}; Take Out of Materials undoes it", layer, count))
         return {"FINISHED"}
 
 

@@ -10,7 +10,7 @@ from .job import default_cells
 from .material_setup import any_set_up
 from .preferences import preference
 from .preflight import preflight
-from .running import phase_text
+from .running import percent, phase_text
 from .session import Session
 from .translations import CONTEXT, tr, tr_message
 from .viewport import has_result, layer_names
@@ -79,9 +79,9 @@ def _draw_running(layout, running):
     figures = column.column(align=True)
     figures.label(text=tr("{} s so far, {} million rays", f"{progress.seconds:.1f}", f"{progress.rays / 1e6:.1f}"))
     if running.light_error is not None:
-        figures.label(text=tr("Error so far: {} %", f"{100 * running.light_error:.2g}"))
+        figures.label(text=tr("Error so far: {} %", percent(running.light_error)))
     if running.bound is not None:
-        figures.label(text=tr("Light still missing: at most {} %", f"{100 * running.bound:.2g}"))
+        figures.label(text=tr("Light still missing: at most {} %", percent(running.bound)))
     if running.left is not None and not running.waiting:
         figures.label(text=tr("About {} s left", f"{running.left:.0f}"))
 
@@ -138,7 +138,7 @@ def _draw_result(layout, settings, holds):
         return
     box = layout.box().column()
     if result.error >= 0:
-        text = tr("Error {} %, in {} s", f"{100 * result.error:.2g}", _seconds(result.seconds))
+        text = tr("Error {} %, in {} s", percent(result.error), _seconds(result.seconds))
     else:
         text = tr("Baked in {} s", _seconds(result.seconds))
     box.label(text=text, icon="ERROR" if result.partial else "CHECKMARK")
@@ -149,7 +149,7 @@ def _draw_result(layout, settings, holds):
     if result.relit:
         box.label(text=tr("Lights have been changed since"))
     if result.worst:
-        box.label(text=tr("Least exact: {}, {} %", result.worst, f"{100 * result.worst_error:.2g}"))
+        box.label(text=tr("Least exact: {}, {} %", result.worst, percent(result.worst_error)))
     goal = result.goal()
     if goal is not None:
         seconds = settings.price_of(goal) if holds else None

@@ -124,3 +124,8 @@ def phase_text(running):
     if progress is None:
         return tr("Reading the scene") if running.phase == "read" else tr("Surveying")
     return f"{tr(PHASES.get(progress.phase, progress.phase))}  {100 * progress.done:.0f} %"
+
+
+def percent(share):
+    """A share in percent, as it is told: nobody asks what is below a ten-thousandth."""
+    return f"{max(100 * share, 0.01):.2g}"

@@ -250,7 +250,7 @@ GERMAN = {
     "Findings: {}, see Health in the panel": "Befunde: {}, siehe dort im Paneel",
     "No object has a layer {}": "Kein Objekt hat eine Ebene {}",
     "Nothing is baked yet": "Es ist noch nichts gebacken",
-    "{} materials show {}; Take Out of Materials undoes it": "{} Materialien zeigen {}; „Aus Materialien nehmen“ macht es rückgängig",
+    "Materials that show {}: {}; Take Out of Materials undoes it": "Materialien, die {} zeigen: {}; „Aus Materialien nehmen“ macht es rückgängig",
     "there is no mesh to bake: no visible object with faces": "es gibt kein Mesh zu backen: kein sichtbares Objekt mit Flächen",
     "nothing gives light: add a lamp, an emitting material or a world color": "nichts gibt Licht: eine Lampe, ein leuchtendes Material oder eine Weltfarbe hinzufügen",
     # Before the bake.
@@ -414,6 +414,7 @@ GERMAN = {
     "there is nothing to write to: {text}": "es gibt nichts zu beschreiben: {text}",
     "there is nothing to write to: {}: {text}; {more}": "es gibt nichts zu beschreiben: {}: {text}; {more}",
     "no mesh matches {}": "kein Mesh heißt {}",
+    "no object is selected": "kein Objekt ist ausgewählt",
     "no mesh object of its own": "kein eigenes Mesh-Objekt",
     "{}: it has an attribute {} that no bake made; rename it, or leave out that layer": "{}: es hat ein Attribut {}, das von keinem Backen stammt; umbenennen oder diese Ebene weglassen",
     "{}: it has no color attribute {} (it has: {})": "{}: es hat kein Farbattribut {} (es hat: {})",

@@ -145,8 +145,10 @@ def result_copy(scene, name):
 
 def remove_copy(scene, copy):
     """Remove a copy that a bake made in a scene, and show its original again."""
-    mesh = copy.data
+    mesh, original = copy.data, scene.objects.get(copy.get(f"{KEY}_of", ""))
     hide(scene, [copy.get(f"{KEY}_of", "")], False)
+    if original is not None:
+        _select_instead(original, copy)
     bpy.data.objects.remove(copy)
     if mesh.users == 0:
         bpy.data.meshes.remove(mesh)
@@ -291,5 +293,15 @@ def _result_copy(scene, object, mesh, former):
     copy[f"{KEY}_of"] = object.name
     for collection in object.users_collection:
         collection.objects.link(copy)
+    _select_instead(copy, object)
     hide(scene, [object.name], True)
     return copy
+
+
+def _select_instead(shown, hidden):
+    """Let an object be selected, and active, as another was in place of which it is shown."""
+    active = bpy.context.view_layer.objects.active == hidden
+    with contextlib.suppress(RuntimeError):  # where one of them is not in the view layer
+        shown.select_set(hidden.select_get())
+        if active:
+            bpy.context.view_layer.objects.active = shown

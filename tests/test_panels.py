@@ -707,3 +707,28 @@ def test_copies_of_the_last_bake_are_no_modifiers(room):
     assert "cube_radiosity" in bpy.data.objects
     after = look()
     assert (after.objects, after.corners, after.findings) == (before.objects, before.corners, before.findings)
+
+
+def test_a_copy_is_selected_for_its_original_and_stands_for_it(room):
+    """What was selected is hidden by the bake: the copy that is shown in its place is selected, and baked again."""
+    cube = bpy.data.objects["cube"]
+    for o in room.objects:
+        o.select_set(o == cube)
+    bpy.context.view_layer.objects.active = cube
+    room.radiosity.selected, room.radiosity.mesh = True, "subdivide"
+    for _ in range(2):
+        assert bpy.ops.radiosity.bake() == {"FINISHED"}
+        copy = bpy.data.objects["cube_radiosity"]
+        assert bpy.context.selected_objects == [copy]
+        assert bpy.context.view_layer.objects.active == copy
+        assert room.radiosity.options(bpy.context).objects == ("cube",)
+    bpy.ops.radiosity.clear()
+    assert bpy.context.selected_objects == [cube]
+    cube.select_set(False)
+    with pytest.raises(RuntimeError, match="no object is selected"):
+        bpy.ops.radiosity.bake()
+
+
+def test_errors_that_are_next_to_nothing_are_told_as_little(room):
+    room.radiosity.result.points, room.radiosity.result.error = 8, 2e-8
+    assert any("Error 0.01 %" in text for text in drawn().texts)
