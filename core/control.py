@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .anew import read_light, read_reflected, reflect_anew
-from .gather import SEEDS, TASK_RAYS, Shooter, weighted_sum
+from .gather import SEEDS, Shooter, task_size, weighted_sum
 from .kernel import blocks
 from .lights import test_rays
 from .points import Block, block_arrays
@@ -66,7 +66,7 @@ class Control:
         """Trace the rest of a round that was broken off: a generator like that of `trace`."""
         rays, rounds, count = self.traced.asked, self.traced.rounds, len(self.ids)
         done = 0 if self.traced.next_truth is None else self.traced.next_truth.shape[1]
-        size = max(TASK_RAYS // (3 * rays + min(rays, DIRECT_TESTS)), 1)
+        size = task_size(2 * count, 3 * rays + min(rays, DIRECT_TESTS), self._cells)
         tasks = [
             self._cells.submit(
                 "control",

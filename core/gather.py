@@ -23,12 +23,18 @@ from .points import Block, block_arrays
 from .records import to_arrays
 from .replicates import PARTS, WHOLE, Light, Replicate, block_of_light, light_blocks, light_of_block, mean_light
 from .sampling import R2, fraction, hemisphere, lattice, scatter, tangents
-from .vectors import counted, ratio
+from .vectors import counted, ratio, whole_runs
 
-TASK_RAYS = 1 << 15  # of one task: some 10 ms
+# Rays of one task at most, some 40 ms. Points of a task share what is cast for neighbors: with a quarter of the rays each
+# takes a third longer (measured where every point has 1500).
+TASK_RAYS = 1 << 17
+LEAST_RAYS = 1 << 13  # of one task at least: a task takes some 3 ms however few they are
+TASK_POINTS = 1 << 12  # of one task at most
+SHARES = 2  # for each cell, of what is left, is a task at most: they get ever smaller, so that cells end together
 TABLES = 64  # direction tables, each turned by a step of its own; a point's shift picks one
 APART = (0.41421356237309503, 0.7320508075688772)  # steps from point to point of the test rays' shifts
 GATHER, TEST = 3, 4  # salts of the sample sequences
+SIDES = 1 << 15  # points of a task that finds which patch sides they lie on
 POINT_BYTES = 150  # that a point takes in a task, there and back
 BLOCK_BYTES = 6e6  # that a replicate has in a block of light
 WAITING_SHARE = 0.05  # of the memory that may be used, for tasks that wait for cells
@@ -115,20 +121,19 @@ class Gathering:
         What is done counts at once."""
         number, replicate = self.next, self.gathered.replicates[self.next]
         ids, rays = replicate.left, replicate.rays
-        size = max(TASK_RAYS // (rays + TESTS), 1)
         arguments = dict(
             rays=rays,
             tests=self.settings.light_samples,
             seed=self.settings.seed + SEEDS * number,
             links=int(not number),
         )
-        parts = deque(ids[k : k + size] for k in range(0, len(ids), size))
+        size = task_size(len(ids), rays + TESTS, self.cells)
         tasks, most = {}, min(self.cells.flow_each * self.cells.count, self._waiting(POINT_BYTES * size))
         done = int(replicate.asked.sum()) - len(ids)
         try:
-            while tasks or parts:
-                while parts and len(tasks) < most:  # never all: each carries its points
-                    part = parts.popleft()
+            while tasks or len(ids):
+                while len(ids) and len(tasks) < most:  # never all: each carries its points
+                    part, ids = np.split(ids, [task_size(len(ids), rays + TESTS, self.cells)])
                     tasks[self.cells.submit("gather", **arguments, **block_arrays(self.points, part))] = part
                 first = next(iter(tasks))
                 self._add(replicate, tasks[first], *self.cells.take([first]))
@@ -231,6 +236,13 @@ def light_arrays(points, solution, surfaces, sky, side, close):
     }
 
 
+def task_size(count, rays, cells):
+    """How many points a task gets of `count` that are left, with so many rays each. What a point gets does not depend on
+    it."""
+    least, most = (max(number // rays, 1) for number in (LEAST_RAYS, TASK_RAYS))
+    return min(max(count * cells.points_each // (SHARES * cells.count), least), most, TASK_POINTS)
+
+
 def gather_points(kernel, rays, tests, seed, links, **points):
     """Light at the K points of a Block, by `rays` rays and `tests` times the usual test rays: "direct" of sampled
     sources, "found" by rays and "reflected", (C, K) float32 [W/m^2]; "nearness" (K,) float32, the mean inverse distance
@@ -305,8 +317,7 @@ def find_sides(kernel, position, up):
 
 def sides_of(points, cells):
     """(P,) int32 the patch side that each point lies on. cells: started with the arrays of transport."""
-    size = TASK_RAYS
-    parts = [slice(k, k + size) for k in range(0, len(points), size)]
+    parts = [slice(k, k + SIDES) for k in range(0, len(points), SIDES)]
     tasks = [cells.submit("sides", position=points.position[p], up=points.geometric[p]) for p in parts]
     return np.concatenate([np.zeros(0, np.int32), *(result["side"] for result in cells.take(tasks))])
 
@@ -356,18 +367,19 @@ def _direct(kernel, points, rays, tests, seed):
     def test(s, who, after, count, rim=False):
         """Sums of the weights (K,) of `count` (K,) test rays of each of `who` (K,), from number `after` (K,) on, and of
         those that get through. rim: they are to go to the rim of a sun, evenly spaced."""
-        owner, number = counted(count)
-        rows = who[owner]
-        if rim:
-            a, b = _rim_places(ids[rows], number, s, seed)
-        else:
-            a, b = _test_places(ids[rows], after[owner] + number, s, seed)
-        each = (
-            np.take(x, rows, axis=0) for x in (position, normal, geometric, origin)
-        )  # a seventh of the time of x[rows]
-        weight, seen = test_rays(sources, s, kernel.caster, *each, a, b)
-        begin = np.cumsum(count) - count
-        return np.add.reduceat(weight, begin), np.add.reduceat(seen, begin)
+        start, sums = np.append(0, np.cumsum(count)), np.empty((2, len(who)))
+        for part in whole_runs(start):
+            owner, number = counted(count[part])
+            rows = who[part][owner]
+            if rim:
+                a, b = _rim_places(ids[rows], number, s, seed)
+            else:
+                a, b = _test_places(ids[rows], after[part][owner] + number, s, seed)
+            # A seventh of the time of x[rows].
+            each = (np.take(x, rows, axis=0) for x in (position, normal, geometric, origin))
+            for total, weight in zip(sums, test_rays(sources, s, kernel.caster, *each, a, b)):
+                total[part] = np.add.reduceat(weight, start[:-1][part] - start[part.start])
+        return sums
 
     factor = kernel.factors_at(points)
     possible = factor * sources.strength.max(axis=1)

@@ -5,6 +5,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from cell_radiosity.core import gather
 from cell_radiosity.core.bake import bake, run
 from cell_radiosity.core.cells import LocalCells
 from cell_radiosity.core.points import Block, block_arrays, make_points, pairs
@@ -58,7 +59,7 @@ class Watched(LocalCells):
 def test_what_cells_hold_does_not_grow_with_the_points():
     """Of four times as many points no task carries more, no more of them wait, and nothing goes to all cells."""
     found = []
-    for n in (32, 64):
+    for n in (48, 96):  # both have more points than one task may
         cells = Watched()
         run(bake(room(n), Settings.for_error(0.05, gather_rays=32, patch_edge=0.2, occlusion=0.1), cells))
         found.append(cells)
@@ -83,3 +84,31 @@ def test_no_more_tasks_wait_than_memory_allows():
         little.most["gather"] * little.each["gather"] < 0.05 * 4e7 < plenty.most["gather"] * plenty.each["gather"] * 1.5
     )
     assert np.array_equal(one.light.indirect, other.light.indirect)
+
+
+def test_tasks_get_smaller_toward_the_end_and_change_no_bit(monkeypatch):
+    """So that cells end together; with tasks of a few points each, where cells would wait for the host, the same light."""
+
+    class Counted(LocalCells):
+        def __init__(self):
+            super().__init__()
+            self.sizes = {}  # of each replicate
+
+        def submit(self, name, **arguments):
+            if name == "gather":
+                self.sizes.setdefault(arguments["seed"], []).append(len(arguments["degree"]))
+            return super().submit(name, **arguments)
+
+    settings, found = Settings.for_error(0.05, gather_rays=64, patch_edge=0.2, pilot_rays=8), []
+    for most in (gather.TASK_RAYS, 1 << 9):
+        monkeypatch.setattr(gather, "TASK_RAYS", most)
+        cells = Counted()
+        found.append((cells.sizes, run(bake(room(32), settings, cells))))
+    (sizes, usual), (small, other) = found
+    for tasks, many in zip(sizes.values(), small.values(), strict=True):
+        assert sum(tasks) == sum(many) == len(usual.points)
+        assert tasks == sorted(tasks, reverse=True)
+        assert tasks[0] > 2 * tasks[-1]
+        assert len(many) > 10 * len(tasks)
+    assert np.array_equal(usual.light.direct, other.light.direct)
+    assert np.array_equal(usual.light.indirect, other.light.indirect)
