@@ -312,6 +312,8 @@ GERMAN = {
     "{} points are only on faces a thousand times longer than wide": "{} Punkte liegen nur auf Flächen, die tausendmal länger als breit sind",
     "they took the light of their neighbors": "sie bekamen das Licht ihrer Nachbarn",
     "the cells could not all be used": "nicht alle Zellen waren zu gebrauchen",
+    "only {} of {} cells fit into the memory that may be used": "nur {} von {} Zellen passen in den erlaubten Speicher",
+    "only {} of {} cells fit into the memory that may be used; the work was done in this process": "nur {} von {} Zellen passen in den erlaubten Speicher; dieser Prozess tat die Arbeit selbst",
     "those of the state are longer, or their rows shorter, than {} % asks for": "die des Standes sind länger oder ihre Zeilen kürzer, als {} % verlangt",
     "they were kept: {} % of the error is theirs; without the state they are finer": "sie blieben: {} % des Fehlers sind ihrer; ohne den Stand sind sie feiner",
     "it had modifiers": "es hatte Modifikatoren",

@@ -11,6 +11,7 @@ from time import perf_counter
 import numpy as np
 
 from .accuracy import CROWDED, MOST_RAYS, Estimate, estimate_error, rays_by_object, rays_wanted
+from .budget import cells_within
 from .cells import LocalCells
 from .choices import control_points, control_rays, eased, finer, goes_on, more_control, shadowless
 from .clock import Clock
@@ -171,6 +172,8 @@ class _Course:
         self.cells, self._place, self.groups, self._known = cells, place, groups, state
         self.clock = Clock(cells)
         self.scene = self.written = scene
+        self.settings = settings
+        self._fit(0, self._points_foreseen(), begun=False)
         self.survey = self._surveyed(settings)
         self._asked, self.settings = settings, eased(settings, self.survey)
         self._coarse = False
@@ -185,6 +188,10 @@ class _Course:
         self._gather_seconds, self._gather_rays = 0.0, 0
         self._control_seconds, self._control_rays = 0.0, 0
         self.clock.lap("survey")
+
+    def _fit(self, patches, points, begun=True):
+        """Let only so many cells work as fit into the memory that may be used."""
+        self.cells.limit(cells_within(self.settings.memory, len(self.scene.triangles), patches, points, begun))
 
     def _surveyed(self, settings):
         """The Survey: that of the known state, if it was made for an error as small."""
@@ -241,6 +248,7 @@ class _Course:
         patches = (
             known.patches if known else make_fine_patches(scene, sources if settings.graded else None, edge, growth)
         )
+        self._fit(len(patches), self._points_foreseen())
         cells.start(transport_arrays(patches, sources, shadows, seen))
         # Patches that are to be the mesh's own polygons stay what they are.
         if not known and edge is not None and shadows:
@@ -314,6 +322,7 @@ class _Course:
         known = self._known
         self.solution = self.solution or known.solution
         yield from self._find_points()
+        self._fit(len(self.patches), len(self.points))
         self.gathering = self._gathering(self.points, self.side, known and known.gathered)
         if known:
             self._bounds, self._doubt = list(known.bounds), known.doubt

@@ -98,6 +98,10 @@ class Cells:
         """Yield (id, result) of the tasks submitted, in the order they are done, until none is left."""
         raise NotImplementedError
 
+    def limit(self, count):
+        """Let at most so many work, where they take this machine's memory: the others end, what they had is dealt again, and
+        they are back when more may work. With none the work is done in this process."""
+
     def clear(self):
         """Forget all tasks: queued ones are not run, results still to come are dropped."""
         raise NotImplementedError
@@ -184,7 +188,7 @@ class ProcessCells(Cells):
         self._waiting = deque()
         self._cells = []
         self._dropped = set()
-        self._local = None
+        self._local, self._aside = None, 0
         try:
             for index in range(count):
                 self._cells.append(_Process(index))
@@ -228,6 +232,25 @@ class ProcessCells(Cells):
                         yield message
                 elif monotonic() - cell.heard > PATIENCE:
                     self._replace(cell)
+
+    def limit(self, count):
+        before = len(self._cells)
+        while len(self._cells) > count:
+            self._give_back(self._cells[-1])
+            self.usage.memory.pop(self._cells.pop().process.pid, None)
+            self._aside += 1
+        while self._aside and len(self._cells) < count:
+            try:
+                self._cells.append(_Process(len(self._cells)))
+            except OSError:
+                break
+            self._cells[-1].send(_packed(("arrays", self._arrays), APART))
+            self._aside -= 1
+        now = len(self._cells)
+        if now != before:
+            self.count = max(now, 1)
+            few = f"only {now} of {now + self._aside} cells fit into the memory that may be used"
+            self.note = (few if now else f"{few}; the work was done in this process") if self._aside else ""
 
     def clear(self):
         self._waiting.clear()
@@ -274,10 +297,7 @@ class ProcessCells(Cells):
 
     def _replace(self, cell):
         """Start a new cell in place of one that died or hangs, and deal its tasks again."""
-        tasks = [task for number, task in cell.tasks.items() if number not in self._dropped]
-        self._dropped.difference_update(cell.tasks)
-        cell.end()
-        self._waiting.extendleft(reversed(tasks))
+        self._give_back(cell)
         place = self._cells.index(cell)
         self.restarted += 1
         if self.restarted > RESTARTS * self.count:
@@ -291,6 +311,13 @@ class ProcessCells(Cells):
             self.note = f"no new cell could be started ({error}); its work was done in this process"
             return
         fresh.send(_packed(("arrays", self._arrays), APART))
+
+    def _give_back(self, cell):
+        """End a cell; its tasks wait again."""
+        tasks = [task for number, task in cell.tasks.items() if number not in self._dropped]
+        self._dropped.difference_update(cell.tasks)
+        cell.end()
+        self._waiting.extendleft(reversed(tasks))
 
     def _run_here(self):
         """Do the waiting tasks in this process: no cell is left."""
@@ -398,17 +425,30 @@ def run_task(kernel, name, arguments):
 
 def peak_memory():
     """Peak memory of this process so far [MB]; 0 where the system does not say."""
-    try:
-        # A new process inherits its parent's peak in getrusage; Linux keeps the process's own here.
-        with open("/proc/self/status") as status:
-            return next(float(line.split()[1]) / 1024 for line in status if line.startswith("VmHWM"))
-    except (OSError, StopIteration):
-        pass
+    # A new process inherits its parent's peak in getrusage; Linux keeps the process's own here.
+    told = _told_memory("VmHWM")
+    if told is not None:
+        return told
     try:
         import resource
     except ImportError:
         return 0.0
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1 << 20 if sys.platform == "darwin" else 1 << 10)
+
+
+def memory_now():
+    """Memory of this process [MB], its peak where the system says no more."""
+    told = _told_memory("VmRSS")
+    return peak_memory() if told is None else told
+
+
+def _told_memory(name):
+    """What Linux says of the memory of this process [MB], or None."""
+    try:
+        with open("/proc/self/status") as status:
+            return next(float(line.split()[1]) / 1024 for line in status if line.startswith(name))
+    except (OSError, StopIteration):
+        return None
 
 
 @contextlib.contextmanager

@@ -151,7 +151,8 @@ class Gathering:
         """Add the result of a task at points ids (K,) to a Replicate."""
         points = self.points
         for name in (*PARTS, "nearness"):
-            getattr(replicate, name)[..., ids] = result[name]
+            if result[name].any():  # memory that is not written to is not taken
+                getattr(replicate, name)[..., ids] = result[name]
         self.gathered.closest[ids] = np.minimum(self.gathered.closest[ids], result["closest"])
         if "links" in result:
             here, number = counted(np.diff(points.neighbor_start)[ids].astype(np.int64))
@@ -174,6 +175,7 @@ class Gathering:
         block of points, and the Light in the end."""
         taken = len(self.gathered.replicates), float(self.rays.sum())
         if taken != self._taken:  # the same light is asked for after every look at its error
+            self._taken = self._light = None  # two would take twice the memory
             light = yield from self._filtered(diagonal, in_cells)
             self._taken, self._light = taken, light
         yield self._light

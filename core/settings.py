@@ -45,7 +45,7 @@ class Settings:
     seconds: float | None = None
     schedule: str = "dynamic"
     rows: str = "rays"
-    memory: float = 2e9
+    memory: float = 4e9
     side: str = "front"
     occlusion: float | None = None
     force: tuple = ()
