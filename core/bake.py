@@ -13,7 +13,7 @@ import numpy as np
 from .accuracy import CROWDED, MOST_RAYS, Estimate, estimate_error, rays_by_object, rays_wanted
 from .budget import cells_within
 from .cells import LocalCells
-from .choices import control_points, control_rays, eased, finer, goes_on, more_control, shadowless
+from .choices import control_points, control_rays, eased, finer, goes_on, more_control, parted, shadowless
 from .clock import Clock
 from .contacts import cut_contacts
 from .control import Control, Traced, draw_control
@@ -251,7 +251,7 @@ class _Course:
         self._fit(len(patches), self._points_foreseen())
         cells.start(transport_arrays(patches, sources, shadows, seen))
         # Patches that are to be the mesh's own polygons stay what they are.
-        if not known and edge is not None and shadows:
+        if not known and edge is not None and parted(settings, found):
             patches = cut_contacts(scene, patches, cells)
         sources, sampled = add_pictures(scene, patches, sources, sampled)
         surfaces, sky = _surfaces(scene, patches, sampled, found, np.pi * sky.T)
@@ -396,7 +396,7 @@ class _Course:
             return
         if self.control.under_way:
             yield from self._trace(self.control.complete())
-        short = control_rays(self.settings) - self.control.rays
+        short = control_rays(self.settings, self.survey) - self.control.rays
         if short > 0:
             yield from self._trace(self.control.trace(short))
         yield from self._smooth()

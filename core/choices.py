@@ -18,13 +18,14 @@ CLOSE_BELOW = 0.0075  # the error asked for
 EASED_FROM = 0.01  # the error asked for: below it the longer rows cost more than the patches save
 # Patches are one such part of the scene's focus long, with rows of so many rays, from an error of reflected light on, where
 # sun and sky cast sharp shadows: what such patches miss is up to 20, 4.5 and 2.6 % of reflected light (measured).
-# The last is how many more rays a replicate of the pilot gets: where about as many as the pilot's are needed in all, a third
-# replicate, with test rays of its own, takes longer than they do.
-COARSE = ((0.6, 12, 16, 0), (0.1, 18, 16, 0), (0.05, 25, 8, 5))
+# The last is how many times the usual rays a replicate of the pilot gets: the sky alone takes few of them; where about twice
+# as many as the pilot's are needed in all, a third replicate, with test rays of its own, takes longer than they do.
+COARSE = ((0.6, 12, 8, 0.6), (0.4, 18, 8, 0.6), (0.1, 18, 8, 1.0), (0.05, 25, 8, 1.6))
 CONTROL_POINTS = 320
 EACH_OBJECT = 24  # of them, if every object is to reach the error
 MOST_CONTROL_POINTS = 2000
 CONTROL_RAYS = ((0.03, 16), (0.015, 32), (0.0, 64))  # of each truth at first, from an error on
+LITTLE = 0.125  # of the light: if less than that is reflected, the errors of as much more of it are looked for
 SURE_RAYS = 64  # with so many, doubts far below the error asked for do not matter
 MOST_CONTROL_RAYS = 1024
 UNSURE = 0.7  # of the square of the noise: a doubt above that asks for more control rays
@@ -56,12 +57,25 @@ def eased(settings, found):
         )
     if settings.per_object:  # in a dim object much may be reflected
         return settings
-    enough = settings.error / max(found.indirect, 1e-9)
     for least, parts, rays, more in COARSE:
-        if enough >= least:
-            pilot = settings.pilot_rays + more * (settings.pilot_rays == usual.pilot_rays)
+        if error_of_reflected(settings, found) >= least:
+            pilot = settings.pilot_rays
+            if pilot == usual.pilot_rays:
+                pilot = round(more * pilot)
             return replace(settings, patch_edge=1 / parts, row_rays=rays, pilot_rays=pilot)
     return settings
+
+
+def error_of_reflected(settings, found):
+    """What the error asked for allows reflected light, if all other light were exact; by what the survey found."""
+    return settings.error / max(found.indirect, 1e-9)
+
+
+def parted(settings, found):
+    """Whether patches are cut where other surfaces touch them: not if they are the coarsest there are because hardly any
+    light is reflected, so that what leaks there does not matter."""
+    coarsest = not settings.per_object and error_of_reflected(settings, found) >= COARSE[0][0]
+    return found.needs("occlusion") and not (coarsest and settings.patch_edge >= 1 / COARSE[0][1])
 
 
 def shadowless(found):
@@ -85,9 +99,12 @@ def finer(wanted, settings):
     return wanted.patch_edge < settings.patch_edge or wanted.row_rays > settings.row_rays
 
 
-def control_rays(settings):
-    """Rays of each truth at first: as many as the error asked for calls for; more follow where they do not do."""
-    error = 0.0 if settings.per_object else settings.error
+def control_rays(settings, found):
+    """Rays of each truth at first: as many as the error asked for calls for, fewer where little light is reflected; more
+    follow where they do not do. found: the Survey."""
+    error = settings.error * max(LITTLE / max(found.indirect, 1e-9), 1.0)
+    if settings.per_object:
+        error = 0.0
     return next(rays for least, rays in CONTROL_RAYS if error >= least)
 
 

@@ -88,7 +88,9 @@ def control_seconds(pilot, error):
         return 0.0
     have = pilot.control_rays
     wanted = have * pilot.estimate.doubt / (UNSURE * (AIM * error) ** 2)
-    rays = max(have, control_rays(replace(pilot.settings, error=error)), min(PAIRS * wanted, MOST_CONTROL_RAYS))
+    rays = max(
+        have, control_rays(replace(pilot.settings, error=error), pilot.survey), min(PAIRS * wanted, MOST_CONTROL_RAYS)
+    )
     return (rays - have) * pilot.control_rate
 
 

@@ -20,6 +20,7 @@ from cell_radiosity.core.accuracy import (
 from cell_radiosity.core.bake import _Course, price
 from cell_radiosity.core.cells import LocalCells
 from cell_radiosity.core.choices import MOST_CONTROL_RAYS, STEP, UNSURE, more_control
+from cell_radiosity.core.effects import Survey
 from cell_radiosity.core.prices import AGAIN, STEADY, Pilot, price_list, replicate_seconds
 
 from scenes import Material, Settings, bake, box, join_meshes, run, sheet
@@ -103,8 +104,8 @@ def test_price_list_is_the_pilots():
 
 def piloted(error=0.03, patch_edge=None, parts=(), **found):
     """What a pilot may have found out."""
-    usual = dict(scene=None, settings=Settings(patch_edge=patch_edge, error=error), survey=None, points=1000, rays=16,
-                 replicates=2, control_rays=64, control_rate=0.001, solve=0.0, memory_mb=100.0, parts=dict(parts),
+    usual = dict(scene=None, settings=Settings(patch_edge=patch_edge, error=error), survey=Survey(()), points=1000,
+                 rays=16, replicates=2, control_rays=64, control_rate=0.001, solve=0.0, memory_mb=100.0, parts=dict(parts),
                  estimate=Estimate(total=error, noise=error))  # fmt: skip
     return Pilot(**{**usual, **found})
 

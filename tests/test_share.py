@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cell_radiosity.core.cells import LocalCells
-from cell_radiosity.core.choices import EASED, EVEN, eased
+from cell_radiosity.core.choices import EASED, EVEN, control_rays, eased, parted
 from cell_radiosity.core.effects import survey
 from cell_radiosity.core.share import COMMON, light_contrast
 
@@ -87,11 +87,31 @@ def test_patches_that_were_asked_for_stay():
         assert eased(settings, found) == settings
 
 
-def test_pilots_are_longer_where_a_third_replicate_would_follow_unless_they_were_asked_for():
+def test_pilots_go_by_the_share_unless_they_were_asked_for():
+    """Shorter where there is hardly any, longer where a third replicate would follow."""
     found, usual = survey(court(), Settings.for_error(0.01)), Settings.for_error(0.01)
-    more = [eased(usual, replace(found, indirect=share)).pilot_rays - usual.pilot_rays for share in (0.01, 0.15, 1.0)]
-    assert more == [0, 5, 0]
+    pilots = [eased(usual, replace(found, indirect=share)).pilot_rays for share in (0.01, 0.09, 0.15, 1.0)]
+    assert pilots == [5, 8, 13, 8]
     assert eased(replace(usual, pilot_rays=3), replace(found, indirect=0.15)).pilot_rays == 3
+
+
+def test_what_leaks_matters_unless_hardly_anything_is_reflected():
+    found = survey(court(), Settings.for_error(0.01))
+    for share, error, expected in ((0.01, 0.01, False), (0.01, 0.005, True), (0.1, 0.01, True), (0.1, 0.1, False)):
+        mine = replace(found, indirect=share)
+        settings = eased(Settings.for_error(error), mine)
+        assert parted(settings, mine) == expected
+        assert parted(replace(settings, patch_edge=1 / 50), mine)  # finer patches than that are there to be right
+        assert parted(replace(settings, per_object=True), mine)
+    convex = replace(found, effects=tuple(replace(e, needed=False) for e in found.effects), indirect=0.5)
+    assert not parted(Settings(), convex)
+
+
+def test_the_error_is_looked_for_with_fewer_rays_where_little_is_reflected():
+    found = survey(court(), Settings.for_error(0.01))
+    rays = [control_rays(Settings.for_error(0.01), replace(found, indirect=share)) for share in (1.0, 0.1, 0.05, 0.0)]
+    assert rays == [64, 64, 32, 16]
+    assert control_rays(Settings.for_error(0.01, per_object=True), replace(found, indirect=0.0)) == 64
 
 
 def test_coarse_patches_do_not_spoil_the_whole():
