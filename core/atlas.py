@@ -23,7 +23,7 @@ SMOOTH_EDGE = 0.766044443118978  # cosine of 40 degrees: charts go on across an 
 CLEAR = 1e-3  # how far inside two triangles [texels] a texel's center lies if they overlap
 OUTSIDE = 1e-4  # by how much a UV map may leave the unit square
 NO_AREA = 1e-9  # of the unit square, or of a texel
-MOST_CHECKED = 4e6  # texels that are looked at in all, if the images have no more
+MOST_CHECKED = 1e6  # texels that are looked at in all, if the images have no more
 CHECKED = 1024  # least size of the grid on which overlaps are looked for
 FINE = 20_000  # triangles of a scene from which xatlas' own charts would take longer than the bake
 NEARLY = 3e-4  # 1 - cosine between neighbors that xatlas takes for one plane, however far the surface bends in all
@@ -386,6 +386,9 @@ def _overlapping(atlas):
     fine = np.maximum(CHECKED / atlas.size.max(axis=1), 1.0)
     covered = (np.abs(_signed_areas(atlas.place)) * fine[atlas.image] ** 2).sum()
     fine = np.maximum(fine * sqrt(min(MOST_CHECKED / max(covered, 1.0), 1.0)), 1.0)
+    # Faces that lie on one another many times, as those of a tiled map, are found on a coarser grid as well.
+    most = max(MOST_CHECKED, float(atlas.size.prod(axis=1).sum()))
+    fine *= sqrt(min(most / max((np.abs(_signed_areas(atlas.place)) * fine[atlas.image] ** 2).sum(), 1.0), 1.0))
     place = atlas.place * fine[atlas.image][:, None, None]
     size = np.ceil(atlas.size * fine[:, None]).astype(np.int64)
     width, height = size.max(axis=0)

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cell_radiosity.core import atlas as atlas_module
 from cell_radiosity.core.atlas import NoUnwrapper, make_atlas, rasterize, read_atlas
 from cell_radiosity.core.bake import restored
 from cell_radiosity.core.cells import make_cells
@@ -174,6 +175,24 @@ def test_what_is_wrong_with_a_uv_map_is_said_by_face_count():
         "1 faces have no area in the UV map",
     }  # fmt: skip
     assert read_atlas(scene, np.full_like(uv, np.nan)).findings
+
+
+def test_a_tiled_uv_map_is_looked_at_as_little_as_another(monkeypatch):
+    """Each of 10 000 faces fills the image: all are found, by a grid that they do not cover more often than the image."""
+    looked = []
+    real = atlas_module.rasterize
+
+    def counted(*arguments):
+        for found in real(*arguments):
+            looked.append(len(found[0]))
+            yield found
+
+    monkeypatch.setattr(atlas_module, "rasterize", counted)
+    scene = join_meshes([sheet("floor", ((0, 0, 0), (4, 0, 0), (4, 4, 0), (0, 4, 0)), 100, 100)])
+    uv = np.tile([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)], (10_000, 1))
+    found = read_atlas(scene, uv, size=1024)
+    assert [text for _, text, _ in found.findings] == ["10000 faces overlap others in the UV map"]
+    assert sum(looked) < 3 * 1024**2
 
 
 def test_an_image_that_would_be_too_large_is_refused():
