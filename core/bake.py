@@ -18,7 +18,7 @@ from .clock import Clock
 from .contacts import cut_contacts
 from .control import Control, Traced, draw_control
 from .costs import Work, with_costs
-from .effects import Survey, simplified, survey
+from .effects import Survey, shut_in, simplified, survey
 from .gather import Gathering, light_arrays, patch_light, sides_of
 from .groups import Groups, make_groups, scaled, weighted
 from .health import Finding, mend
@@ -244,7 +244,8 @@ class _Course:
         world = scene.world if found.needs("sky") else World()
         sky, _ = split_sky(world)
         shadows, seen = found.needs("occlusion"), len(sky)
-        sources, sampled = make_sources(scene.but(world=world))
+        shut = shut_in(scene, found.island) if settings.side == "front" else None
+        sources, sampled = make_sources(scene.but(world=world), shut)
         patches = (
             known.patches if known else make_fine_patches(scene, sources if settings.graded else None, edge, growth)
         )

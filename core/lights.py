@@ -104,8 +104,9 @@ class Sources:
         return self.corner[self.corner_start[s] : self.corner_start[s + 1]]
 
 
-def make_sources(scene):
-    """The Sources of a scene, and which of its polygons they stand for: (P,) bool.
+def make_sources(scene, shut=None):
+    """The Sources of a scene, and which of its polygons they stand for: (P,) bool. shut: (P,) bool, emitting polygons whose
+    backs nothing is seen from that matters; None: none of them.
 
     An emitting polygon that is not among them is light that rays find by hitting it.
     """
@@ -114,7 +115,7 @@ def make_sources(scene):
         _source(SKY, g.irradiance, (0,) * 3, -unit(g.directions.mean(axis=0)), radius=g.spread, corners=g.directions)
         for g in split_sky(scene.world)[1]
     ]
-    flats, sampled = _emitting_flats(scene)
+    flats, sampled = _emitting_flats(scene, shut)
     return join_sources([*found, flats]), sampled
 
 
@@ -531,7 +532,7 @@ def _vector_areas(start, corner):
     return np.stack([np.bincount(owner, x, len(start) - 1) for x in twice.T], axis=1) / 2
 
 
-def _emitting_flats(scene):
+def _emitting_flats(scene, shut=None):
     """Emitting faces as FLAT Sources, and which polygons (P,) bool they stand for: in one plane they are one source, if
     it is convex; else each polygon, or each triangle of it. If there are too many, only the strongest are sources."""
     exitance = np.array([m.exitance for m in scene.materials], float).reshape(-1, 3)
@@ -576,6 +577,8 @@ def _emitting_flats(scene):
     flats = flat_sources(
         corner, np.diff(start), exitance[scene.polygon_material[polygon]], scene.polygon_object[polygon]
     )
+    if shut is not None:
+        flats = replace(flats, two_sided=~shut[polygon])
     sampled = np.zeros(len(glows), bool)
     sampled[emitting] = rank[part[emitting]] < chosen
     return flats, sampled

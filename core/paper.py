@@ -22,7 +22,7 @@ def solve_paper(patches, surfaces, sources, sky, cells, settings):
     begun = perf_counter()
     count, target = 2 * len(patches), settings.error / 10
     # Faces shoot the light they emit; only lamps, which are no faces, light the patches first-hand. No row is kept.
-    cells.start(to_arrays("sources", sources.only(~sources.two_sided)))
+    cells.start(to_arrays("sources", sources.only(sources.origin >= -1)))
     direct, _ = light_patches(cells, count, settings)
     cells.start(to_arrays("sources", sources))
     rows = make_rows(count, replace(settings, memory=0))

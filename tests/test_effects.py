@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from cell_radiosity.core.cells import LocalCells
-from cell_radiosity.core.effects import survey
+from cell_radiosity.core.effects import shut_in, survey
+from cell_radiosity.core.lights import make_sources
 from cell_radiosity.core.settings import EFFECTS
 from cell_radiosity.core.surfaces import Texture
 
@@ -210,3 +211,66 @@ def test_survey_of_nothing():
     assert not any(e.needed for e in found.effects)
     broken = Mesh.of_polygons("broken", [(np.nan, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], [[0, 1, 2], [1, 2, 3]])
     assert survey(join_meshes([broken], lamps=[PANEL])).health[0].object == "broken"
+
+
+BULB = Material("bulb", (0.1, 0.1, 0.1), exitance=(30.0, 30.0, 30.0))
+
+
+def bulb(inward=False, faces="xXyYzZ"):
+    return box("bulb", (0.4, 0.4, 0.6), (0.6, 0.6, 0.8), inward=inward, faces=faces)
+
+
+@pytest.mark.parametrize(
+    ("parts", "material", "shut"),
+    [
+        ([bulb()], BULB, True),
+        (
+            [
+                bulb(),
+                box("stand", (0.45, 0.45, 0.5), (0.55, 0.55, 0.59), inward=False, materials=dict.fromkeys("xXyYzZ", 1)),
+            ],
+            BULB,
+            True,
+        ),
+        ([bulb(faces="xXyYZ")], BULB, False),
+        ([bulb(inward=True)], BULB, False),
+        (
+            [
+                bulb(),
+                box(
+                    "filament",
+                    (0.49, 0.49, 0.69),
+                    (0.51, 0.51, 0.71),
+                    inward=False,
+                    materials=dict.fromkeys("xXyYzZ", 1),
+                ),
+            ],
+            BULB,
+            False,
+        ),
+        ([bulb()], replace(BULB, alpha=0.9), False),
+        ([bulb()], replace(BULB, translucency=(0.1, 0.1, 0.1)), False),
+        ([bulb()], replace(BULB, exitance=(0.0, 0.0, 0.0)), False),
+    ],
+    ids=["closed", "on a stand", "open below", "inside out", "round a thing", "see-through", "translucent", "dark"],
+)
+def test_inside_of_a_closed_lamp_is_left_out(parts, material, shut):
+    """Its faces are sources to one side, if no one else can see the other."""
+    scene = join_meshes(
+        [sheet("floor", [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], material=1), *parts], [material, GRAY]
+    )
+    found = shut_in(scene, survey(scene).island)
+    assert np.array_equal(found, shut & (scene.polygon_object == 1))
+    assert make_sources(scene, found)[0].two_sided.all() != shut
+
+
+def test_light_of_a_closed_lamp_is_the_same_without_its_inside(monkeypatch):
+    scene = room(bulb(), lamps=[], materials=[GRAY, BULB])
+    scene = replace(scene, polygon_material=np.where(scene.polygon_object == 1, 1, 0).astype(np.int32))
+    baked, light = light_of(scene, force=("color",))
+    monkeypatch.setattr("cell_radiosity.core.bake.shut_in", lambda *a: None)
+    both, expected = light_of(scene, force=("color",))
+    assert baked.rays < both.rays
+    area = baked.points.area * (baked.points.object == 0)
+    assert np.sqrt((area * (light - expected) ** 2).sum() / (area * expected**2).sum()) < 0.02
+    assert (area * light).sum() == pytest.approx((area * expected).sum(), rel=5e-3)
