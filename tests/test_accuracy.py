@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cell_radiosity.core import prices
+from cell_radiosity.core import control, prices
 from cell_radiosity.core.accuracy import (
     AIM,
     AIM_EACH,
@@ -23,7 +23,9 @@ from cell_radiosity.core.choices import MOST_CONTROL_RAYS, STEP, UNSURE, more_co
 from cell_radiosity.core.effects import Survey
 from cell_radiosity.core.prices import AGAIN, STEADY, Pilot, price_list, replicate_seconds
 
-from scenes import Material, Settings, bake, box, join_meshes, run, sheet
+from scenes import Lamp, Material, Settings, bake, box, join_meshes, run, sheet
+
+PANEL = Lamp("area", (10.0,) * 3, position=(0.5, 0.5, 0.9), size=(0.2, 0.2), name="panel")
 
 
 def furnished(n=8):
@@ -229,3 +231,12 @@ def test_rays_by_object_go_where_they_are_needed():
     assert more[0] == more[3] == more[4] == 0
     assert 0 < more[1] < more[2]
     assert noise_after(0.02, 32, more[1]) <= (AIM_EACH * 0.01) ** 2 < noise_after(0.02, 32, more[1] / 2)
+
+
+def test_nothing_is_traced_anew_where_rays_bring_nothing(monkeypatch):
+    """A black room: all its light is straight from the panel, at control points too."""
+    room = join_meshes([box("room", n=4)], [Material("black", (0, 0, 0))], [PANEL])
+    monkeypatch.setattr(control, "Shooter", None)
+    found = run(bake(room, Settings(error=0.02), LocalCells()))
+    assert found.converged
+    assert found.light.total.sum() > 0
