@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .anew import read_light, read_reflected, reflect_anew
-from .gather import SEEDS, Shooter, task_size, weighted_sum
+from .gather import SEEDS, Shooter, weighted_sum
 from .kernel import blocks
 from .lights import test_rays
 from .points import Block, block_arrays
@@ -23,6 +23,7 @@ from .vectors import ratio
 CONTROL = 6  # salt of the sample sequences
 APART = 1 << 20  # seeds of control points are so far from those of the gather, in replicates
 CROWD_TESTS = 4  # times as many toward a crowd of sources
+TASK_RAYS = 1 << 15  # of one task, some 10 ms: however many cells there are, as test rays go by the points of a task
 DIRECT_TESTS, FEWEST_TESTS = 64, 8  # test rays to a source that gives all light, and to one that gives next to none
 
 
@@ -66,7 +67,7 @@ class Control:
         """Trace the rest of a round that was broken off: a generator like that of `trace`."""
         rays, rounds, count = self.traced.asked, self.traced.rounds, len(self.ids)
         done = 0 if self.traced.next_truth is None else self.traced.next_truth.shape[1]
-        size = task_size(2 * count, 3 * rays + min(rays, DIRECT_TESTS), self._cells)
+        size = max(TASK_RAYS // (3 * rays + min(rays, DIRECT_TESTS)), 1)
         tasks = [
             self._cells.submit(
                 "control",

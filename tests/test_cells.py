@@ -21,7 +21,7 @@ SETTINGS = Settings(gather_rays=64, row_rays=16)
 
 
 def furnished(n=6):
-    """A colored room with a block, a ball, a lamp and an emitting ceiling."""
+    """A colored room with a block, a ball, two lamps and an emitting ceiling."""
     materials = [Material("w", (0.7, 0.7, 0.7)), Material("r", (0.6, 0.1, 0.1)), Material("e", (0, 0, 0), (2, 2, 1))]
     return join_meshes(
         [
@@ -30,13 +30,15 @@ def furnished(n=6):
             icosphere("ball", 0.15, 2, False),
         ],
         materials,
-        [Lamp("point", (0.2, 0.3, 0.4), (0.8, 0.7, 0.8), radius=0.05)],
+        [Lamp("point", (0.2, 0.3, 0.4), (0.8, 0.7, 0.8), radius=0.05), Lamp("point", (0.5, 0.2, 0.2), (0.2, 0.8, 0.3))],
         World((0.1, 0.1, 0.2)),
     )
 
 
 def same(a, b):
-    return np.array_equal(a.light.direct, b.light.direct) and np.array_equal(a.light.indirect, b.light.indirect)
+    """Whether two bakes have the same light, and the same estimate of its error, to which rays go."""
+    light = np.array_equal(a.light.direct, b.light.direct) and np.array_equal(a.light.indirect, b.light.indirect)
+    return light and a.estimate.total == b.estimate.total > 0
 
 
 @pytest.fixture(scope="module")
@@ -53,6 +55,17 @@ def test_any_number_of_cells_gives_the_same_bits(expected, count):
     assert same(result, expected)
     # Points of a task share what is cast for their neighbors; how large tasks are goes by how many cells there are.
     assert result.rays == pytest.approx(expected.rays, rel=0.2)
+
+
+def test_as_many_cells_as_there_is_work_for_give_the_same_bits(expected):
+    class Many(LocalCells):
+        """Cells that say how many they are."""
+
+        def __init__(self):
+            super().__init__()
+            self.count = 64
+
+    assert same(run(bake(furnished(), SETTINGS, Many())), expected)
 
 
 def test_arrays_of_any_kind_pass_a_pipe_whole(rng):
