@@ -11,7 +11,7 @@ from cell_radiosity.core.cells import LocalCells
 from cell_radiosity.core.effects import shut_in, survey
 from cell_radiosity.core.lights import make_sources
 from cell_radiosity.core.settings import EFFECTS
-from cell_radiosity.core.surfaces import Texture
+from cell_radiosity.core.surfaces import Readings, Texture
 
 from scenes import Lamp, Material, Mesh, Settings, World, bake, box, icosphere, join_meshes, run, sheet
 
@@ -43,6 +43,12 @@ def test_empty_gray_room_needs_lamps_and_bounces_only():
     assert found["lamps"][1] == "1 area"
     assert "1 reflectance" in found["color"][1]
     assert "6 planes" in found["occlusion"][1]
+
+
+def glow_read(light):
+    """Readings of one place of a face."""
+    color = np.full((1, 3), 0.5)
+    return Readings(np.array([0]), np.full((1, 2), 0.3), color, light * color, np.zeros(0, int), color[:0], color[:0])
 
 
 # Each leave-out, a scene that has it left out, and one at the edge, where it is needed.
@@ -77,6 +83,13 @@ TURNS = {
         "textures",
         room(materials=[Material("plain", (0, 0, 0), texture=0)], textures=(Texture("plain", np.full((4, 4, 3), 0.5, np.float32)),)),
         room(materials=[Material("image", (0, 0, 0), texture=0)], textures=(Texture("image", np.tile(np.linspace(0.4, 0.5, 4, dtype=np.float32)[:, None, None], (1, 4, 3))),)),
+    ),
+    "a pane": ("transparency", room(), room(materials=[replace(GRAY, alpha=0.999)])),
+    "a mesh of two": (
+        "instances", room(box("a", (1.1, 0, 0), (1.2, 0.1, 0.1)), shared=np.array([0, 1])), room(box("a", (1.1, 0, 0), (1.2, 0.1, 0.1)), shared=np.array([0, 0])),
+    ),
+    "emission that was read": (
+        "emission", room(readings=glow_read(0.0)), room(readings=glow_read(1e-6)),
     ),
     "a wall turned round": (
         "two-sided", room(), join_meshes([box(n=4, faces="xXyYz"), sheet("lid", [(0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)])], [GRAY], [PANEL]),
