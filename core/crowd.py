@@ -226,11 +226,10 @@ class Crowd:
             likely[pair, number] = self.members.exact(position[own], normal[own], member) * self._relative[0][member]
         return near
 
-    def _chosen(self, place, given, row, target, exact=None):
-        """The members (R,) that targets (R,), from 0 to the sum of what groups are given (K, G) by the places row (R,), stand
-        for, and the density (R,) that they are picked with, in units of that: of the same member, one after the other.
-        exact: see `_set_exact`; then also (R,) what near members give unhindered, -1 for others."""
-        upto = np.cumsum(given, axis=1, dtype=float)
+    def _chosen(self, place, given, upto, row, target, exact=None):
+        """The members (R,) that targets (R,), as shares of what groups are given (K, G) by the places row (R,) in all, stand
+        for, and the density (R,) that they are picked with, in units of that. upto: (K, G) sums of what is given up to each
+        group. exact: see `_set_exact`; then also (R,) what near members give unhindered, -1 for others."""
         target = target * upto[row, -1]
         group = search_rows(upto, row, target)
         own = given[row, group].astype(float)
@@ -274,10 +273,11 @@ class Crowd:
             exact = position[part], normal[part]
             place = self._place(*exact)
             given = self._sums(place, exact)
-            total = _sum(given)
+            upto = _upto(given)
+            total = upto[:, -1]
             number = np.where(total > 0, count(total * self._relative[1]), 0)
             owner, u, x = _spread(number, ids[part], seed)
-            member, density, whole = self._chosen(place, given, owner, u, exact)
+            member, density, whole = self._chosen(place, given, upto, owner, u, exact)
             own = (exact[0][owner], exact[1][owner])
             facing = own[1] if geometric is normal else geometric[part][owner]
             factor, seen = members.test(caster, member, *own, facing, start[part][owner], *x, occluded)
@@ -303,10 +303,11 @@ class Crowd:
         for part in self._parts(center):
             patch = self._place(center[part], normal[part, 0], extent[part])
             given = self._sums(patch)
-            lit = np.flatnonzero(_sum(given) > 0)
+            upto = _upto(given)
+            lit = np.flatnonzero(upto[:, -1] > 0)
             owner, number = np.repeat(lit, places), np.tile(np.arange(places), len(lit))
             u = (number + fraction(a[part][lit, :1] * places).repeat(places)) / places
-            member, density = self._chosen(patch, given, owner, u)
+            member, density = self._chosen(patch, given, upto, owner, u)
             place, up = (by_coordinate(x[part][lit].reshape(-1, 3)) for x in (position, normal))
             start = caster.start(place, up)
             x = (y[part][lit].reshape(-1) for y in (a, b))
@@ -322,7 +323,7 @@ class Crowd:
         """(C, K) light of places (K, 3) [W/m^2] from one member each, over the chance that it is picked with: first of
         a group, by what is `given`. pick, a, b: (K,) in [0, 1)."""
         members, row = self.members, np.arange(len(pick))
-        member, density = self._chosen(self._place(position, normal), given, row, pick)
+        member, density = self._chosen(self._place(position, normal), given, _upto(given), row, pick)
         factor, seen = members.from_one(caster, member, position, normal, start, a, b, occluded)
         return ratio(factor * seen * members.power[member], density) * members.color[member].T
 
@@ -340,8 +341,13 @@ def _runs(count, each):
 
 
 def _sum(values):
-    """(K,) sums of rows (K, N) of float32, as float64: in the order of their items, whatever the build of numpy."""
-    return np.cumsum(values, axis=1, dtype=float)[:, -1]
+    """(K,) sums of rows (K, N), float64."""
+    return _upto(values)[:, -1]
+
+
+def _upto(values):
+    """(K, N) sums of the items of rows (K, N) of float32 up to each, float64: in their order, whatever the build of numpy."""
+    return np.cumsum(values, axis=1, dtype=float)
 
 
 def _spread(count, ids, seed):
