@@ -3,15 +3,18 @@ its result."""
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from time import perf_counter
 
 import bpy
 from bpy.props import EnumProperty, FloatProperty, StringProperty
+from bpy_extras.io_utils import ExportHelper
 
 from ..core.bake import run
 from . import material_setup
 from .errors import Refused
+from .export import KINDS, export_scene
 from .job import Job
 from .marks import is_made, made_layers, unmark_layers
 from .preferences import preference
@@ -494,6 +497,29 @@ class RADIOSITY_OT_clear(_OfResult, bpy.types.Operator):
         return {"FINISHED"}
 
 
+class RADIOSITY_OT_export(_OfResult, ExportHelper, bpy.types.Operator):
+    """Write the meshes as glTF or USD, with the layer that is shown as vertex colors in 0..1; times the extra radiosity_scale they are the light"""
+
+    bl_idname = "radiosity.export"
+    bl_label = "Export"
+
+    filename_ext, check_extension = ".glb", None  # others are as good
+    filter_glob: StringProperty(default=";".join(f"*{kind}" for kind in KINDS), options={"HIDDEN"})
+
+    @writing
+    def execute(self, context):
+        path = bpy.path.abspath(self.filepath)
+        path = path if os.path.splitext(path)[1] else path + self.filename_ext
+        layer = context.scene.radiosity.shown or "Radiosity"
+        try:
+            scale = export_scene(context, path, layer)
+        except Refused as problem:
+            self.report({"ERROR"}, tr_message(str(problem)))
+            return {"CANCELLED"}
+        self.report({"INFO"}, tr("{}: {} divided by {}", os.path.basename(path), layer, f"{scale:.6g}"))
+        return {"FINISHED"}
+
+
 CLASSES = (
     RADIOSITY_OT_bake,
     RADIOSITY_OT_find_effects,
@@ -506,4 +532,5 @@ CLASSES = (
     RADIOSITY_OT_set_up_materials,
     RADIOSITY_OT_take_out_of_materials,
     RADIOSITY_OT_clear,
+    RADIOSITY_OT_export,
 )

@@ -188,7 +188,10 @@ class RADIOSITY_PT_view(_Panel, bpy.types.Panel):
                 column.operator("radiosity.set_up_materials", text=tr(text), icon=icon).kind = kind
             if any_set_up():
                 column.operator("radiosity.take_out_of_materials", icon="LOOP_BACK")
-        layout.operator("radiosity.clear", icon="TRASH")
+        row = layout.row(align=True)
+        if names:
+            row.operator("radiosity.export", icon="EXPORT")
+        row.operator("radiosity.clear", icon="TRASH")
 
 
 class RADIOSITY_PT_lights(_Panel, bpy.types.Panel):

@@ -224,6 +224,9 @@ GERMAN = {
     "Take Out of Materials": "Aus Materialien nehmen",
     "Take the baked light out of all materials again: they are as they were": "Das gebackene Licht wieder aus allen Materialien nehmen: sie sind, wie sie waren",
     "Clear Result": "Ergebnis entfernen",
+    "Export": "Exportieren",
+    "Write the meshes as glTF or USD, with the layer that is shown as vertex colors in 0..1; times the extra radiosity_scale they are the light": "Die Meshes als glTF oder USD schreiben, mit der gezeigten Ebene als Vertexfarben in 0..1; mal der Eigenschaft radiosity_scale sind sie das Licht",
+    "{}: {} divided by {}": "{}: {} geteilt durch {}",
     "Remove all that bakes have made in this scene: layers, copies, and nodes in materials": "Alles entfernen, was in dieser Szene gebacken wurde: Ebenen, Kopien und Nodes in Materialien",
     # Preferences.
     "Cells": "Zellen",
@@ -411,7 +414,11 @@ GERMAN = {
     "{}: a coat is left out": "{}: eine Deckschicht bleibt weg",
     "{}: sheen is left out": "{}: Samtglanz bleibt weg",
     "{}: refraction: light that would pass is sent back": "{}: Brechung: Licht, das durchginge, wird zurückgeworfen",
-    # Why a bake is refused.
+    # Why a bake or an export is refused.
+    "cannot export {}: its name must end in {}": "{} kann nicht exportiert werden: der Name muss auf {} enden",
+    "cannot export {}: this Blender was built without USD": "{} kann nicht exportiert werden: dieses Blender hat kein USD",
+    "no mesh of this scene has a baked layer {}: bake it to vertex colors first": "kein Mesh dieser Szene hat eine gebackene Ebene {}: zuerst in Vertexfarben backen",
+    "cannot write {}: {}": "{} kann nicht geschrieben werden: {}",
     "there is no mesh to bake: no face has an area": "es gibt kein Mesh zu backen: keine Fläche hat einen Inhalt",
     "there is nothing to write to: {text}": "es gibt nichts zu beschreiben: {text}",
     "there is nothing to write to: {}: {text}; {more}": "es gibt nichts zu beschreiben: {}: {text}; {more}",

@@ -90,7 +90,14 @@ def test_every_word_has_its_german_one():
         assert sorted(VALUE.findall(word)) == sorted(VALUE.findall(german)), word
 
 
-REFUSING = ("job.py", "outputs.py", "write_result.py", "atlas.py", "errors.py")  # whose refusals the panel shows ...
+REFUSING = (
+    "export.py",
+    "job.py",
+    "outputs.py",
+    "write_result.py",
+    "atlas.py",
+    "errors.py",
+)  # whose refusals the panel shows ...
 COMMAND = re.compile("state file|--strict|its layers")  # ... but for these
 
 
@@ -732,3 +739,19 @@ def test_a_copy_is_selected_for_its_original_and_stands_for_it(room):
 def test_errors_that_are_next_to_nothing_are_told_as_little(room):
     room.radiosity.result.points, room.radiosity.result.error = 8, 2e-8
     assert any("Error 0.01 %" in text for text in drawn().texts)
+
+
+def test_export_writes_the_layer_that_is_shown(room, tmp_path):
+    """Under any of the endings, .glb without one; nothing in the file becomes another, and prices stay what they are."""
+    assert not bpy.ops.radiosity.export.poll()
+    bpy.ops.radiosity.bake()
+    room.radiosity.shown = "Lighting"
+    names, edits = sorted(o.name for o in bpy.data.objects), Session.edits
+    assert bpy.ops.radiosity.export(filepath=str(tmp_path / "box")) == {"FINISHED"}
+    assert bpy.ops.radiosity.export(filepath=str(tmp_path / "box.gltf")) == {"FINISHED"}
+    assert {"box.glb", "box.gltf", "box.bin"} <= {p.name for p in tmp_path.iterdir()}
+    assert (sorted(o.name for o in bpy.data.objects), Session.edits) == (names, edits)
+    assert bpy.context.scene == room
+    assert "COLOR_0" in (tmp_path / "box.gltf").read_text()
+    with pytest.raises(RuntimeError, match="its name must end in"):
+        bpy.ops.radiosity.export(filepath=str(tmp_path / "box.obj"))

@@ -230,9 +230,8 @@ def test_the_exposure_leaves_the_layers_alone(box):
     values = "[list(x.color) for x in list(bpy.data.meshes['room'].color_attributes['Radiosity'].data)[::500]]"
     before, dark = box.ask(f"answer = {values}"), box.picture()
     box.ask(f"{SETTINGS}.exposure = 2.0")
-    time.sleep(0.5)
     floor = (slice(560, 620), slice(300, 400))
-    assert box.picture()[floor].mean() > 1.3 * dark[floor].mean()
+    box.until_seen(lambda picture: picture[floor].mean() > 1.3 * dark[floor].mean())
     assert box.ask(f"answer = {values}") == before
     box.ask(f"{SETTINGS}.exposure = 0.0")
     assert box.ask(f"answer = {LAYERS}") == ["Lighting", "Radiosity"]
@@ -243,15 +242,15 @@ def test_a_light_is_dimmed_with_a_slider_and_one_undo_brings_it_back(box):
     box.ask(PRESS_BAKE)
     box.until(RUNNING)
     box.until(IDLE)
+    time.sleep(2.0)  # until the panel is drawn with its sliders
     box.scroll()
     cells, strength = box.ask(f"answer = {CELLS}"), f"{SETTINGS}.result.groups[0].strength"
     values = "[list(x.color) for x in list(bpy.data.meshes['room'].color_attributes['Radiosity'].data)[::500]]"
     before, lit = box.ask(f"answer = {values}"), box.picture()
     box.drag(box.find_slider(), -200)
     box.until(f"{strength} == 0")
-    time.sleep(1.0)
     floor = (slice(560, 620), slice(300, 400))
-    assert box.picture()[floor].mean() < 0.3 * lit[floor].mean()
+    box.until_seen(lambda picture: picture[floor].mean() < 0.3 * lit[floor].mean())
     assert box.ask(f"answer = {values}") != before
     box.press("ctrl+z")
     box.until(f"{strength} == 1")

@@ -109,6 +109,13 @@ class Window:
         with Image.open(path) as image:
             return np.asarray(image.convert("RGB"))
 
+    def until_seen(self, fits, wait=60):
+        """Look at the screen until a picture fits: a busy machine draws late."""
+        end = time.monotonic() + wait
+        while not fits(self.picture()):
+            assert time.monotonic() < end, "it was never seen"
+            time.sleep(0.2)
+
     def click(self, x, y):
         """Click at a place on the screen."""
         self._type("mousemove", x, y)
