@@ -20,7 +20,8 @@ EASED_FROM = 0.01  # the error asked for: below it the longer rows cost more tha
 # sun and sky cast sharp shadows: what such patches miss is up to 20, 4.5 and 2.6 % of reflected light (measured).
 # The last is how many times the usual rays a replicate of the pilot gets: the sky alone takes few of them; where about twice
 # as many as the pilot's are needed in all, a third replicate, with test rays of its own, takes longer than they do.
-COARSE = ((0.6, 12, 8, 0.6), (0.4, 18, 8, 0.6), (0.1, 18, 8, 1.0), (0.05, 25, 8, 1.6))
+# Before it, in how many places their direct light is tested at least: a shadow that is missed on so long a patch tells.
+COARSE = ((0.6, 12, 8, 4, 0.6), (0.4, 18, 8, 4, 0.6), (0.1, 18, 8, 16, 1.0), (0.05, 25, 8, 16, 1.6))
 CONTROL_POINTS = 320
 EACH_OBJECT = 24  # of them, if every object is to reach the error
 MOST_CONTROL_POINTS = 2000
@@ -57,12 +58,13 @@ def eased(settings, found):
         )
     if settings.per_object:  # in a dim object much may be reflected
         return settings
-    for least, parts, rays, more in COARSE:
+    for least, parts, rays, samples, more in COARSE:
         if error_of_reflected(settings, found) >= least:
             pilot = settings.pilot_rays
             if pilot == usual.pilot_rays:
                 pilot = round(more * pilot)
-            return replace(settings, patch_edge=1 / parts, row_rays=rays, pilot_rays=pilot)
+            samples = max(settings.patch_samples, samples)
+            return replace(settings, patch_edge=1 / parts, row_rays=rays, pilot_rays=pilot, patch_samples=samples)
     return settings
 
 

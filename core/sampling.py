@@ -6,6 +6,8 @@ every build of numpy. No state, no random generator: a sample can be drawn again
 
 from __future__ import annotations
 
+from math import gcd
+
 import numpy as np
 
 from .vectors import from_coordinates
@@ -29,11 +31,15 @@ def lattice(n):
 
 
 def lattice4(n):
-    """n points in the unit 4-cube, (4, n): the golden-ratio lattice for the first two axes, the R2 sequence for the
-    others."""
+    """n points in the unit 4-cube, (4, n): the golden-ratio lattice for the first two axes, the R2 sequence for the others.
+
+    The first of these is moved to whole steps of 1 / n, so that it is spread evenly too: it goes through the elements of a
+    patch, and steps of R2 come back nearly to where they were after every four, so that whole columns would be left out.
+    """
     u, v = lattice(n)
     i = np.arange(n) + 0.5
-    return np.stack([u, v, fraction(i * R2[0]), fraction(i * R2[1])])
+    step = min((k for k in range(1, n + 1) if gcd(k, n) == 1), key=lambda k: abs(k - R2[0] * n))
+    return np.stack([u, v, fraction(i * step / n), fraction(i * R2[1])])
 
 
 def scatter(keys, salt):

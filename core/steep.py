@@ -1,9 +1,11 @@
 """Steep light: surfaces so near to a source that what they get changes much within a patch, and patches that are finer
-there.
+there, or cut.
 
 Owns the choice of polygons whose patches are made finer. A glowing strip a hand's breadth before a wall lights a stripe of
 it many times as brightly as the room: patches wider than the stripe would spread it, and what sees it from nearby would
-get too little.
+get too little. Behind a panel that hangs close before a wall or ceiling the wall is bright, and hardly any of that light
+comes out; a patch that is half behind it and half beside it would send it into the room. So patches are cut along its
+outline.
 """
 
 from __future__ import annotations
@@ -11,9 +13,11 @@ from __future__ import annotations
 import numpy as np
 
 from .crowd import make_crowd
-from .lights import BALL
-from .patches import make_patches
-from .vectors import ratio
+from .cuts import cut_patches, elements_of
+from .lights import BALL, FLAT
+from .patches import CUTS, make_patches
+from .patches import FLAT as EVEN
+from .vectors import cross, dot, length, ratio
 
 STEEP = 0.35  # change of light across a patch, in units of what patches get in the mean, from which on it is made finer
 MATTERS = 0.15  # mean square of the change where it is steep: below that, patches stay as they are
@@ -22,10 +26,74 @@ AGAIN = 2.0  # times the light that sources give patches in the mean they get wi
 FINEST = 0.2  # times as long are patches at the least
 MOST_PAIRS = 1 << 24  # of a patch and a piece of a source that are looked at
 MOST_MORE, TRIES = 2.0, 3  # times as many patches there may be, or they are made less fine, in so many steps at most
+CLOSE = 0.5  # of its size, and of the source's, a patch must be nearer to the source to be cut along its outline
+APART = 1e-6  # of the source's size, at least: what lies in its plane gets nothing
+LEVEL = 0.7  # least cosine between patch and source
+INSIDE = 1e-6  # of a patch's size, its corners lie at least beyond an outline that cuts it
 
 
 def make_fine_patches(scene, sources, edge, growth):
-    """The Patches of a scene, see `make_patches`, shorter where light of Sources falls off steeply; None: nowhere."""
+    """The Patches of a scene, see `make_patches`, shorter where light of Sources falls off steeply, and cut along the
+    outlines of those that are close before them; None: nowhere."""
+    patches = _steep_patches(scene, sources, edge, growth)
+    return patches if edge is None or sources is None else _cut_outlines(patches, sources)
+
+
+def _cut_outlines(patches, sources):
+    """Patches cut along the outlines of FLAT Sources that are close before them."""
+    ids, flat = np.arange(len(patches)), np.flatnonzero(sources.kind == FLAT)
+    if len(patches) * len(flat) > MOST_PAIRS:
+        return patches
+    for _ in range(CUTS):
+        plane = np.zeros((len(ids), 4))
+        for s in flat:
+            _find_outline(patches, ids, sources, s, plane)
+        crossed = plane.any(axis=1)
+        if not crossed.any():
+            break
+        patches, ids = cut_patches(patches, ids[crossed], plane[crossed])
+    return patches
+
+
+def _find_outline(patches, ids, sources, s, plane):
+    """Put into plane (K, 4), where that is 0, the plane that stands upright on source s along one of its edges, where it
+    crosses patches ids (K,) that the source is close before."""
+    facing, extent = sources.direction[s], np.sqrt(sources.areas[s])
+    corners = sources.polygon(s)
+    toward, size = patches.centroid[ids] - sources.position[s], np.sqrt(patches.area[ids])
+    rise = dot(toward, facing)
+    gap = np.abs(rise)
+    reach = length(corners - sources.position[s]).max()
+    close = (gap < CLOSE * np.minimum(size, extent)) & (gap > APART * extent) & (length(toward) < reach + 2 * size)
+    close &= (patches.flatness[ids] >= EVEN) & (np.abs(dot(patches.normal[ids], facing)) > LEVEL)
+    if not sources.two_sided[s]:
+        close &= rise > 0
+    close = np.flatnonzero(close & ~plane.any(axis=1))
+    if not len(close):
+        return
+    owner, element = elements_of(patches, ids[close])
+    p, a, b = np.moveaxis(patches.element_frame[element], 1, 0)
+    far = p + np.where(patches.element_square[element][:, None], a + b, b)
+    places = np.stack([p, p + a, p + b, far])
+    free = np.ones(len(close), bool)
+    for start, stop in zip(corners, np.roll(corners, -1, axis=0)):
+        along = stop - start
+        normal = cross(along, facing)
+        normal /= length(normal)
+        value = dot(places - start, normal)
+        share = dot(places - start, along) / dot(along, along)
+        low, high = np.full((2, len(close)), np.inf), np.full((2, len(close)), -np.inf)
+        for k, each in enumerate((value, share)):
+            np.minimum.at(low[k], owner, each.min(axis=0))
+            np.maximum.at(high[k], owner, each.max(axis=0))
+        least = INSIDE * size[close]
+        crossed = free & (low[0] < -least) & (high[0] > least) & (low[1] < 1.0) & (high[1] > 0.0)
+        plane[close[crossed]] = (*normal, dot(normal, start))
+        free &= ~crossed
+
+
+def _steep_patches(scene, sources, edge, growth):
+    """The Patches of a scene, shorter where light of Sources falls off steeply."""
     patches = make_patches(scene, edge, growth)
     crowd = make_crowd(sources, sources.kind <= BALL, scene.diagonal) if sources is not None else None
     if (

@@ -87,6 +87,14 @@ def test_patches_that_were_asked_for_stay():
         assert eased(settings, found) == settings
 
 
+def test_shadows_on_coarse_patches_are_looked_for_in_more_places():
+    """Unless next to nothing is reflected, or still more were asked for."""
+    found, usual = survey(court(), Settings.for_error(0.01)), Settings.for_error(0.01)
+    places = [eased(usual, replace(found, indirect=share)).patch_samples for share in (1.0, 0.15, 0.09, 0.001)]
+    assert places == [usual.patch_samples, 16, 16, usual.patch_samples]
+    assert eased(replace(usual, patch_samples=40), replace(found, indirect=0.15)).patch_samples == 40
+
+
 def test_pilots_go_by_the_share_unless_they_were_asked_for():
     """Shorter where there is hardly any, longer where a third replicate would follow."""
     found, usual = survey(court(), Settings.for_error(0.01)), Settings.for_error(0.01)
