@@ -79,6 +79,8 @@ def _find_outline(patches, ids, sources, s, plane):
     for start, stop in zip(corners, np.roll(corners, -1, axis=0)):
         along = stop - start
         normal = cross(along, facing)
+        if not min(length(normal), dot(along, along)) > 0:
+            continue
         normal /= length(normal)
         value = dot(places - start, normal)
         share = dot(places - start, along) / dot(along, along)
