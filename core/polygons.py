@@ -19,6 +19,7 @@ _Q = (1.0, 2.485846490142306297962e1, 1.650270098316988542046e2, 4.3288106049129
 BLOCK = 2048  # points at a time, so that what is found of them stays in the cache
 HORIZON = 1e-6  # sine of the elevation below which a corner counts as level with the element
 BITS = 1e-12  # the same, in units of how far the farthest corner is
+PLANE = 1e-9  # height above a polygon, in units of how far a corner is, below which an element lies in its plane
 
 
 def angle(sine, cosine):
@@ -127,16 +128,35 @@ def _above_horizon(ray, height):
 
 
 def _lambert(start, end, normal):
-    """Lambert's signed sum (K,) over edges given by the rays to their starts and ends, 3 times (V, K); normal: (3, K)."""
+    """Lambert's signed sum (K,) over edges given by the rays to their starts and ends, 3 times (V, K); normal: (3, K).
+
+    In the polygon's own plane the sum jumps from one side's to the other's, up to 1: a hemisphere that is tilted by a bit
+    would see a face that the element lies on. Nothing of it is seen.
+    """
     turn = [start[i] * end[j] - start[j] * end[i] for i, j in ((1, 2), (2, 0), (0, 1))]
     sine = np.sqrt(_dot(turn, turn))
     gamma = angle(sine, _dot(start, end))
     gamma *= _dot(turn, normal)
     gamma /= np.maximum(sine, TINY)
-    total = gamma[0]
-    for part in gamma[1:]:  # in this order for any number of polygons, as a sum over an axis is not
-        total = total + part
+    total = _sum(gamma)
+    total[_in_plane(start, [_sum(x) for x in turn])] = 0.0
     return total / (2 * np.pi)
+
+
+def _in_plane(ray, area):
+    """(K,) bool: whether elements lie in the planes of polygons, given by rays to corners, 3 times (V, K), and vector areas
+    (3, K)."""
+    farthest = _dot(ray, ray).max(axis=0)
+    height = _dot([x[0] for x in ray], area)
+    return height * height <= PLANE * PLANE * farthest * _dot(area, area)
+
+
+def _sum(values):
+    """(K,) sums of columns (V, K), in this order for any number of them, as a sum over an axis is not."""
+    total = values[0].copy()
+    for part in values[1:]:
+        total += part
+    return total
 
 
 def _next(x):

@@ -145,6 +145,18 @@ def test_nothing_is_seen_of_ones_own_plane(rng):
     assert polygon_factor(np.array([(0.5, 0.5, 0.0)]), up, near)[0] > 0.999
 
 
+@pytest.mark.parametrize("tilt", [0.0, 1e-5, -1e-5, 1e-3])
+def test_of_a_face_that_an_element_lies_on_nothing_is_seen(tilt):
+    """Inside, on an edge and on a corner, with a hemisphere that leans a bit; a hair below it, it is all that is seen."""
+    face = SQUARE - SQUARE.mean(axis=0)
+    places = np.array([face.mean(axis=0), (face[0] + face[1]) / 2, face[0], 0.3 * face[0]])
+    lean = np.array([(np.sin(tilt), 0.0, np.cos(tilt))])
+    normals = np.repeat(lean, len(places), axis=0)
+    assert polygon_factor(places, normals, face).max() == 0.0
+    below = places[:1] - 1e-6 * lean
+    assert polygon_factor(below, lean, face)[0] > 0.99
+
+
 def test_factor_is_additive_where_the_horizon_cuts(rng):
     """A polygon's factor is the sum of its parts' factors, also for points that see only some of it."""
     corners = rng.normal(size=(500, 2))
