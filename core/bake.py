@@ -405,7 +405,7 @@ class _Course:
         # More rays where the control itself is in doubt, as long as they help; above all before rays are spent at all
         # points against what may be chance.
         while more := self._more_control():
-            self._doubt = self.estimate.doubt * sqrt(self.control.rays)
+            self._doubt = self.estimate.doubt * sqrt(sqrt(self.control.rays))
             yield from self._trace(self.control.trace(more))
             self._estimate()
 

@@ -118,10 +118,10 @@ def control_points(objects=0):
 def more_control(found, settings, rays, doubt, wanted):
     """How many more control rays are to be traced, 0 for none: if too little is known of what replicates share, where
     their noise is small enough, and if rays help. found: the Estimate; rays: of each truth so far; doubt: before the last
-    of them, times the square root of their number; wanted: rays of another replicate at all points, for each control ray
+    of them, times the fourth root of their number; wanted: rays of another replicate at all points, for each control ray
     so far."""
     # They are of use if they take off more than chance must; of few rays, one may weigh too much.
-    helped = found.doubt * sqrt(rays) <= doubt or rays < SURE_RAYS
+    helped = found.doubt * sqrt(sqrt(rays)) <= doubt or rays <= SURE_RAYS
     error = settings.error
     if rays >= MOST_CONTROL_RAYS or found.noise > ENOUGH * error or not helped:
         return 0

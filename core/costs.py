@@ -59,7 +59,7 @@ def with_costs(found, work):
 
 def _foretold(needed, work):
     """{effect: CPU seconds} that each would cost alone, if it were forced on."""
-    ray = work.spent(*RAYS) / max(work.rays, 1)
+    ray = _ray_price(work)
 
     def rows(patches, rays, traced):
         return patches * (PATCH + ROW * rays * traced) * ray
@@ -81,6 +81,15 @@ def _foretold(needed, work):
         "islands": 0.0,
     }
     return {name: cost + finer * (name in SHADOWS) for name, cost in seconds.items()}
+
+
+def _ray_price(work):
+    """CPU seconds of a ray. Where none is cast at patches and points, what sources give them has taken about as long as a
+    ray to each; if that was for nothing, there are the survey's."""
+    spent = work.spent(*RAYS)
+    if spent > 0:
+        return spent / (work.rays + work.sources * (work.points + work.patches))
+    return work.spent("cast") / max(work.rays, 1)
 
 
 def _costs(needed, work):

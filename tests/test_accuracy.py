@@ -194,8 +194,8 @@ def test_control_rays_are_as_many_as_its_doubt_calls_for():
     assert more_control(found(1.1), replace(settings, per_object=True), 64, np.inf, 0) == 64
     assert more_control(found(5.0), settings, 64, np.inf, 1.0) == 0
     assert more_control(found(5.0), settings, MOST_CONTROL_RAYS, np.inf, 0) == 0
-    before = found(2.0).doubt * np.sqrt(64)
-    assert more_control(found(1.5), settings, 128, before, 0) == 0
+    before = found(2.0).doubt * 64**0.25
+    assert more_control(found(1.8), settings, 128, before, 0) == 0
     assert more_control(found(1.3), settings, 128, before, 0) == STEP * 128
 
 
