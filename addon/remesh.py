@@ -23,7 +23,7 @@ KINDS = {
     "FLOAT2": ("vector", 2, np.float32, True), "FLOAT_COLOR": ("color", 4, np.float32, True),
     "BYTE_COLOR": ("color", 4, np.float32, True), "INT32_2D": ("value", 2, np.int32, False),
     "INT16_2D": ("value", 2, np.int32, False), "QUATERNION": ("value", 4, np.float32, False),
-    "FLOAT4X4": ("value", 16, np.float32, False),
+    "FLOAT4X4": ("value", 16, np.float32, False), "STRING": ("value", 1, object, False),
 }  # fmt: skip
 OF_KEY = (
     "value",
@@ -184,6 +184,8 @@ def _values(mesh, name, domain):
     """(K, n) or (K,) values of an attribute."""
     attribute = mesh.attributes[name]
     prop, size, dtype, _ = KINDS[attribute.data_type]
+    if dtype is object:  # Blender gives text one by one
+        return np.array([element.value for element in attribute.data], object)
     values = np.empty(len(attribute.data) * size, dtype)
     attribute.data.foreach_get(prop, values)
     return values.reshape(-1, size) if size > 1 else values
@@ -207,7 +209,12 @@ def _carry(mesh, source, attribute, origin, weight):
         result = _mixed(values, origin, weight)
     else:
         nearest = np.take_along_axis(origin, weight.argmax(axis=1)[:, None], axis=1)[:, 0]
-        result = np.where((nearest >= 0).reshape(-1, *[1] * (values.ndim - 1)), values[nearest], 0)
+        found = nearest >= 0
+        if dtype is object:
+            for k in np.flatnonzero(found).tolist():
+                made.data[k].value = values[nearest[k]]
+            return
+        result = np.where(found.reshape(-1, *[1] * (values.ndim - 1)), values[nearest], 0)
     made.data.foreach_set(prop, np.ascontiguousarray(result, dtype).reshape(-1))
 
 

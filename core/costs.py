@@ -86,9 +86,9 @@ def _foretold(needed, work):
 def _ray_price(work):
     """CPU seconds of a ray. Where none is cast at patches and points, what sources give them has taken about as long as a
     ray to each; if that was for nothing, there are the survey's."""
-    spent = work.spent(*RAYS)
+    spent, tried = work.spent(*RAYS), work.rays + work.sources * (work.points + work.patches)
     if spent > 0:
-        return spent / (work.rays + work.sources * (work.points + work.patches))
+        return spent / max(tried, 1)
     return work.spent("cast") / max(work.rays, 1)
 
 

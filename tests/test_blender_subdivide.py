@@ -27,6 +27,8 @@ def shaded_floor(**placing):
         x, y, _ = mesh.vertices[loop.vertex_index].co
         uv.uv[loop.index].vector = ((x + 1) / 2, (y + 1) / 2)
     mesh.attributes.new("height", "FLOAT", "POINT").data.foreach_set("value", [3 * v.co.x for v in mesh.vertices])
+    for polygon, name in zip(mesh.polygons, mesh.attributes.new("name", "STRING", "FACE").data):
+        name.value = b"left" if polygon.center.x < 0 else b"right"
     for e in mesh.edges:
         e.use_edge_sharp = all(abs(mesh.vertices[k].co.x) < 1e-6 for k in e.vertices)
     group = made.vertex_groups.new(name="pinned")
@@ -57,6 +59,7 @@ def test_everything_comes_along(cells, in_place, scale):
     for polygon in mesh.polygons:
         x, y, _ = polygon.center
         assert polygon.material_index == (1 if x < 0 and y > 0 else 0)
+        assert mesh.attributes["name"].data[polygon.index].value == (b"left" if x < 0 else b"right")
     for v in mesh.vertices:
         y = abs(v.co.y)
         assert made.vertex_groups["pinned"].weight(v.index) == pytest.approx(y, abs=1e-6)
