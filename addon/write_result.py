@@ -27,6 +27,7 @@ VALUE_BYTES = {
     "BOOLEAN": 1, "INT8": 1, "FLOAT2": 8, "INT32_2D": 8, "FLOAT_VECTOR": 12, "FLOAT_COLOR": 16, "QUATERNION": 16,
     "FLOAT4X4": 64,
 }  # fmt: skip
+MANY = 20_000  # corners of a mesh from which on it is large: a layer of it takes some milliseconds
 
 
 def check_names(targets, layers):
@@ -47,7 +48,8 @@ def write_result(context, colors, targets, domain):
 
 
 def writing_result(context, colors, targets, domain, encoded=(), channel=None, step=inf):
-    """`write_result` in steps of some `step` seconds: a generator that yields before each layer of each object.
+    """`write_result` in steps of some `step` seconds: a generator that yields before each object, and before each layer
+    of a large one.
 
     encoded: names of the layers that are written as 8-bit colors. channel: (attribute, number of its channel, (C,)
     values), to be written into an attribute that is there.
@@ -59,9 +61,13 @@ def writing_result(context, colors, targets, domain, encoded=(), channel=None, s
         # What needs no Blender comes first: in the turns that it takes the mesh may go.
         own = yield from aside(step, _layers_of_target, target, colors, domain)
         filled = channel and (*channel[:2], _of_target(target, channel[2]))
+        holder = None
         for layer in own:
-            yield
-            holder = _place(context, target, copies.get(target.object))
+            if (
+                holder is None or target.last - target.first > MANY
+            ):  # to find an object takes as long as to write a small one
+                yield
+                holder = _place(context, target, copies.get(target.object))
             if isinstance(holder, Finding):
                 findings.append(holder)
                 break
