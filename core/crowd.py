@@ -376,11 +376,8 @@ def search_rows(upto, row, target):
 
 def _of_flats(x, n, around, center, axis, reach, power, edge, factor, area, two_sided):
     """What flat members may give, (E, N), and squares of the distances."""
-    square, rise, tilt = _toward(x, n, around, center, axis)
     wide = reach + around
-    above = rise > -wide
-    np.maximum(rise, np.float32(PART) * wide, out=rise)
-    rise *= above
+    square, rise, tilt = _toward(x, n, around, center, axis, wide)
     height = np.where(two_sided > 0, np.abs(tilt), tilt)
     rise *= height > -around
     np.maximum(height, np.float32(PART) * around, out=height)
@@ -395,11 +392,8 @@ def _of_flats(x, n, around, center, axis, reach, power, edge, factor, area, two_
 
 def _of_balls(x, n, around, center, axis, reach, power, edge, blend, radius, soft):
     """The same of those that are not flat."""
-    square, rise, tilt = _toward(x, n, around, center, axis)
     wide = reach + around
-    above = rise > -wide
-    np.maximum(rise, np.float32(PART) * wide, out=rise)
-    rise *= above
+    square, rise, tilt = _toward(x, n, around, center, axis, wide)
     distance = np.sqrt(square)
     rise *= power
     rise /= distance * np.where(soft > 0, square + radius * radius, np.maximum(square, radius * radius))
@@ -408,9 +402,9 @@ def _of_balls(x, n, around, center, axis, reach, power, edge, blend, radius, sof
     return rise, square
 
 
-def _toward(x, n, around, center, axis):
+def _toward(x, n, around, center, axis, wide):
     """Squares of the distances (E, N) from places to members, at least their extents', how far the members rise above the
-    places, and these above the members."""
+    places, a part of how wide they are at least and 0 below the horizon, and these above the members."""
     square = rise = tilt = np.float32(0)
     for d in range(3):
         toward = center[d] - x[:, d, None]
@@ -418,6 +412,9 @@ def _toward(x, n, around, center, axis):
         tilt = tilt - toward * axis[d]
         square = toward * toward + square
     np.maximum(square, around * around, out=square)
+    above = rise > -wide
+    np.maximum(rise, np.float32(PART) * wide, out=rise)
+    rise *= above
     return np.maximum(square, SMALLEST), rise, tilt
 
 

@@ -50,11 +50,10 @@ class State:
     places: arrays from which points are made again without a ray, {name: array}; side: (P,) the patch side of each.
     gathered: replicates, and the bound of the transport that each of them read, bounds. control: ids and weights of
     control points, drawn from each object or not; traced: their truths; doubt: of the estimate before they were last
-    traced, since the last replicate, times the fourth root of their rays. openness: (distance, (P,)).
-    averaged: ids (K,) of points whose light of sampled sources is that of a whole surface around them, that light (C, K),
-    its variance (K,), and the number of places that it is the mean of. price: the list that the pilot foretold. seconds:
-    {phase: spent so far}, and "replicates" those on `rays` gather rays. note: whoever asked for the
-    bake may leave one.
+    traced, since the last replicate, times the fourth root of their rays. openness: (distance, (P,)). averaged: ids (K,)
+    of points whose light of sampled sources is that of a whole surface around them, that light (C, K), its variance (K,),
+    and the number of places that it is the mean of. price: the list that the pilot foretold. seconds: {phase: spent so
+    far}, and "replicates" those on `rays` gather rays. note: whoever asked for the bake may leave one.
     """
 
     prints: dict

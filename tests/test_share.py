@@ -93,6 +93,9 @@ def test_shadows_on_coarse_patches_are_looked_for_in_more_places():
     places = [eased(usual, replace(found, indirect=share)).patch_samples for share in (1.0, 0.15, 0.09, 0.001)]
     assert places == [usual.patch_samples, 16, 16, usual.patch_samples]
     assert eased(replace(usual, patch_samples=40), replace(found, indirect=0.15)).patch_samples == 40
+    rough = Settings.for_error(0.05)
+    room = eased(rough, replace(found, indirect=0.5))  # lit by lamps
+    assert room.patch_edge > rough.patch_edge and room.patch_samples == rough.patch_samples
 
 
 def test_pilots_go_by_the_share_unless_they_were_asked_for():
