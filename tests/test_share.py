@@ -95,7 +95,8 @@ def test_shadows_on_coarse_patches_are_looked_for_in_more_places():
     assert eased(replace(usual, patch_samples=40), replace(found, indirect=0.15)).patch_samples == 40
     rough = Settings.for_error(0.05)
     room = eased(rough, replace(found, indirect=0.5))  # lit by lamps
-    assert room.patch_edge > rough.patch_edge and room.patch_samples == rough.patch_samples
+    assert room.patch_edge > rough.patch_edge
+    assert room.patch_samples == rough.patch_samples
 
 
 def test_pilots_go_by_the_share_unless_they_were_asked_for():
