@@ -33,7 +33,8 @@ from .vectors import (
 # Kinds of source: a flat polygon, a point or spot lamp, a sun, a group of bright directions of the sky.
 FLAT, BALL, SUN, SKY = 0, 1, 2, 3
 MOST_SOURCES = 32  # that are tested one by one
-MOST_FLATS = 1 << 16  # if there are more emitting faces, all but the strongest are found by the gather rays
+MOST_FLATS = 1 << 16  # if there are more emitting faces, all but the strongest are found by the gather rays,
+MAIN = 0.5  # and these too if they do not give such a share of the light: rays must find it anyway
 MOST_MERGED = 1 << 15  # emitting polygons beyond this number are not merged into flat sources
 WARPED = 1e-3  # of the root of its area that a polygon's corners may be out of its plane
 STRAIGHT = 1e-6  # of its area: a polygon's corner turns at least so much
@@ -534,7 +535,8 @@ def _vector_areas(start, corner):
 
 def _emitting_flats(scene, shut=None):
     """Emitting faces as FLAT Sources, and which polygons (P,) bool they stand for: in one plane they are one source, if
-    it is convex; else each polygon, or each triangle of it. If there are too many, only the strongest are sources."""
+    it is convex; else each polygon, or each triangle of it. If there are too many, only the strongest are sources, or none.
+    """
     exitance = np.array([m.exitance for m in scene.materials], float).reshape(-1, 3)
     exitance *= np.array([m.alpha for m in scene.materials], float).reshape(-1, 1)
     even = np.array([m.alpha_texture is None for m in scene.materials], bool)
@@ -561,8 +563,10 @@ def _emitting_flats(scene, shut=None):
     power = np.bincount(part, area * exitance[scene.polygon_material].sum(axis=1), len(glows))
     strongest = np.lexsort((np.arange(len(power)), -power))
     count = len(shapes) + len(square) + len(single)
-    rank, chosen = np.empty(len(power), np.int64), MOST_SOURCES if count > MOST_FLATS else len(power)
+    rank, chosen = np.empty(len(power), np.int64), len(power)
     rank[strongest] = np.arange(len(power))
+    if count > MOST_FLATS:
+        chosen = MOST_SOURCES if power[strongest[:MOST_SOURCES]].sum() >= MAIN * power.sum() else 0
 
     polygon = np.concatenate([[g[0] for g, _ in shapes], square, owner[single]]).astype(np.int64)
     start = _starts([*(len(c) for _, c in shapes), *[4] * len(square), *[3] * len(single)])

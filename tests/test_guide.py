@@ -197,6 +197,14 @@ def test_the_same_bits_from_any_number_of_cells_and_after_a_state(always, tmp_pa
     assert on.rays < one.rays
 
 
+@pytest.mark.parametrize(("count", "sampled"), [(5, 25), (7, 32), (9, 0)])
+def test_of_too_many_glowing_faces_the_strongest_are_sampled_if_they_give_most(count, sampled, monkeypatch):
+    """32 of 49 panels alike do, 32 of 81 do not."""
+    monkeypatch.setattr(lights, "MOST_FLATS", lights.MOST_SOURCES)
+    sources, polygons = lights.make_sources(room(count))
+    assert len(sources) == polygons.sum() == sampled
+
+
 def test_guided_or_not_the_light_is_the_same_within_the_noise(always, monkeypatch):
     """Light that comes from panels by way of walls, too: the transport's own, and what points read of it."""
     scene, cells = room(7, 4), LocalCells()
