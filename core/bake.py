@@ -373,6 +373,7 @@ class _Course:
                 settings=self.settings,
                 survey=self.survey,
                 estimate=self.estimate,
+                patches=len(self.patches),
                 points=len(self.points),
                 rays=int(self.gathering.rays.max(initial=0)),
                 replicates=len(self.gathering.gathered.replicates),

@@ -23,6 +23,7 @@ AGAIN = 1.25  # times the rays that a pilot's noise calls for: at its next look 
 ANY_RAYS = 0.9  # of the seconds of a small replicate's test rays: they are spent for whatever number of rays
 PAIRS = 0.8  # of the control rays that two truths alone would need: those of many have more pairs
 STEADY = 0.4  # of the seconds of patches and rows are spent however many there are (measured)
+PATCH_MB = 2e-3  # of a patch in host and cells, with its rows
 POINT_MB = 3e-5  # of a point in one more replicate
 
 
@@ -39,14 +40,16 @@ class Price:
 
 @dataclass(frozen=True)
 class Pilot:
-    """What the pilot of a bake has found out. points: their number; rays: of each so far, in so many replicates.
-    control_rays: of each truth; control_rate: seconds of one more. seconds: {phase: so far}, and "replicates", which went
-    to "rays" rays a point. parts: {part of the cells' work: CPU seconds}; solve: those of the host's own solve."""
+    """What the pilot of a bake has found out. patches, points: their numbers; rays: of each point so far, in so many
+    replicates. control_rays: of each truth; control_rate: seconds of one more. seconds: {phase: so far}, and
+    "replicates", which went to "rays" rays a point. parts: {part of the cells' work: CPU seconds}; solve: those of the
+    host's own solve. memory_mb: peak of host and cells so far."""
 
     scene: Scene
     settings: Settings
     survey: Survey
     estimate: Estimate
+    patches: int
     points: int
     rays: int
     replicates: int
@@ -67,7 +70,7 @@ def price_list(pilot, errors=PRICED):
         more = int(AGAIN * rays_wanted(pilot.estimate, pilot.rays, error))
         seconds = (STEADY + (1 - STEADY) * work) * grows + pilot.seconds["survey"] + control_seconds(pilot, error)
         seconds += fixed * (more > 0) + each * more
-        memory = pilot.memory_mb * (1 + work) / 2 + POINT_MB * pilot.points * (more > 0)
+        memory = pilot.memory_mb + PATCH_MB * pilot.patches * (work - 1) + POINT_MB * pilot.points * (more > 0)
         prices.append(Price(error, seconds, memory, pilot.rays + more))
     return tuple(prices)
 

@@ -21,7 +21,7 @@ from cell_radiosity.core.bake import _Course, price
 from cell_radiosity.core.cells import LocalCells
 from cell_radiosity.core.choices import MOST_CONTROL_RAYS, STEP, UNSURE, more_control
 from cell_radiosity.core.effects import Survey
-from cell_radiosity.core.prices import AGAIN, STEADY, Pilot, price_list, replicate_seconds
+from cell_radiosity.core.prices import AGAIN, PATCH_MB, STEADY, Pilot, price_list, replicate_seconds
 
 from scenes import Lamp, Material, Settings, bake, box, join_meshes, run, sheet
 
@@ -106,8 +106,8 @@ def test_price_list_is_the_pilots():
 
 def piloted(error=0.03, patch_edge=None, parts=(), **found):
     """What a pilot may have found out."""
-    usual = dict(scene=None, settings=Settings(patch_edge=patch_edge, error=error), survey=Survey(()), points=1000,
-                 rays=16, replicates=2, control_rays=64, control_rate=0.001, solve=0.0, memory_mb=100.0, parts=dict(parts),
+    usual = dict(scene=None, settings=Settings(patch_edge=patch_edge, error=error), survey=Survey(()), patches=5000,
+                 points=1000, rays=16, replicates=2, control_rays=64, control_rate=0.001, solve=0.0, memory_mb=100.0, parts=dict(parts),
                  estimate=Estimate(total=error, noise=error))  # fmt: skip
     return Pilot(**{**usual, **found})
 
@@ -126,9 +126,16 @@ def test_a_price_is_made_of_what_grows_and_what_does_not(monkeypatch):
     assert more == int(AGAIN * rays_wanted(pilot.estimate, 16, 0.01))
     fixed, each = replicate_seconds(pilot)
     assert less.seconds == pytest.approx(rows + 4.0 + fixed + each * more)
-    assert less.memory_mb > enough.memory_mb == 200.0
+    assert less.memory_mb > enough.memory_mb == pytest.approx(100.0 + 2 * 5000 * PATCH_MB)
     doubtful = replace(pilot, estimate=replace(pilot.estimate, doubt=0.03**2))
     assert price_list(doubtful, (0.01,))[0].seconds > less.seconds + 0.001 * 64
+
+
+def test_memory_is_foretold_as_it_is_taken():
+    """What the process takes without any patch is no more where there are twenty times as many."""
+    (_, fine) = run(price(furnished(), Settings.for_error(0.1), LocalCells(), (0.1, 0.005)))
+    taken = run(bake(furnished(), Settings.for_error(0.005), LocalCells()))
+    assert fine.memory_mb == pytest.approx(taken.cells["host_mb"], rel=0.3)
 
 
 def test_test_rays_are_foretold_once_for_a_replicate_of_many_rays():
