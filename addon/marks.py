@@ -32,10 +32,18 @@ def unmark_layers(mesh):
         del mesh[KEY]
 
 
+def own_object(scene, name):
+    """The object of a name in a scene that is the file's own, whatever is linked under the same name; None if there is none."""
+    found = scene.objects.get(name)
+    if found is None or found.library is None:
+        return found
+    return next((o for o in scene.objects if o.name == name and o.library is None), None)
+
+
 def hide(scene, names, hidden):
     """Hide objects of a scene in renders and views, or show them."""
     for name in names:
-        object = scene.objects.get(name)
+        object = own_object(scene, name)
         if object is not None:
             object.hide_render = object.hide_viewport = hidden
 
@@ -44,7 +52,7 @@ def hide(scene, names, hidden):
 def originals_shown(scene):
     """While a scene is read, show the objects that are hidden because a copy holds their result."""
     names = {o.get(f"{KEY}_of") for o in scene.objects if is_made(o)}
-    hidden = [o.name for o in scene.objects if o.name in names]
+    hidden = [o.name for o in scene.objects if o.name in names and o.library is None]
     try:
         hide(scene, hidden, False)
         yield

@@ -13,9 +13,9 @@ from .job import NOTHING, Options, default_cells, wanted_by
 from .marks import is_made, made_layers
 from .outputs import make_output
 from .preferences import preference
-from .read_scene import SOLID, rendered_names
+from .read_scene import SOLID, rendered_objects
 from .session import Session
-from .write_result import Copies, result_copy
+from .write_result import Copies, result_copies
 
 LIGHTS = {"LIGHT"}
 # Of the options, what a price list does not depend on.
@@ -61,7 +61,7 @@ def price_key(context, options):
 def _look(context, options):
     # While a panel is drawn nothing may be evaluated: what the view layer has is taken.
     scene, depsgraph = context.scene, context.view_layer.depsgraph or context.evaluated_depsgraph_get()
-    rendered = rendered_names(scene)
+    rendered, copies_of = rendered_objects(scene), result_copies(scene)
     users = Counter(o.data for o in scene.objects if o.type == "MESH")
     wanted = wanted_by(options.objects)
     findings, objects, own, corners, light, shapes, names = [], 0, [], 0, _world_shines(scene), 0, []
@@ -72,9 +72,9 @@ def _look(context, options):
     for object in scene.objects:
         if object.type not in SOLID | LIGHTS or is_made(object) or (object.is_instancer and object.type not in SOLID):
             continue
-        copy = result_copy(scene, object.name) if object.hide_render else None
+        copy = copies_of.get(object.name) if object.hide_render and not object.library else None
         if copy is None:
-            if object.hide_render or object.name not in rendered:
+            if object.hide_render or object.session_uid not in rendered:
                 say(object, "it is not rendered", "it is left out: it casts neither light nor shadow")
                 continue
             if not object.visible_get():

@@ -75,7 +75,7 @@ def reading_scene(context, wanted=None, shared="copy", spacing=1 / 200, step=inf
 def _reading(context, wanted, shared, spacing, step):
     depsgraph = context.evaluated_depsgraph_get()
     scene = depsgraph.scene
-    rendered = rendered_names(scene)
+    rendered = rendered_objects(scene)
     reader = _Reader()
     lamps, placed = [], []
     # Blender's list of instances does not outlive a step: it is walked anew, past the shapes that are known by then.
@@ -117,7 +117,7 @@ def _place(depsgraph, rendered, reader, wanted, lamps, placed, deadline):
         object = instance.object
         original = object.original
         source = instance.parent.original if instance.is_instance and instance.parent else original
-        if original.hide_render or source.name not in rendered or is_made(original) or not instance.show_self:
+        if original.hide_render or source.session_uid not in rendered or is_made(original) or not instance.show_self:
             continue
         if object.type in LEFT_OUT:
             reader.ignored.append((original.name, f"it is {LEFT_OUT[object.type]}: it is left out"))
@@ -437,27 +437,27 @@ def _in_memory(items, name, size):
     return _values(items, name, count * size, np.int32)
 
 
-def rendered_names(scene):
-    """Names of the objects in a collection that is rendered."""
-    names = set()
+def rendered_objects(scene):
+    """Blender's numbers for the objects in a collection that is rendered: names may be those of linked ones too."""
+    found = set()
 
     def visit(collection):
         if not collection.hide_render:
-            names.update(o.name for o in collection.objects)
+            found.update(o.session_uid for o in collection.objects)
             for child in collection.children:
                 visit(child)
 
     visit(scene.collection)
-    return names
+    return found
 
 
 def _hidden(scene, depsgraph, rendered):
     """Findings about meshes and lamps that would be rendered, but that the view layer hides."""
-    seen = {i.object.original.name for i in depsgraph.object_instances}
+    seen = {i.object.original.session_uid for i in depsgraph.object_instances}
     return [
         Finding(o.name, "it is hidden in the viewport", "it was left out of the bake, as if it were not there")
         for o in scene.objects
-        if o.type in SOLID | {"LIGHT"} and o.name in rendered and o.name not in seen and not o.hide_render
+        if o.type in SOLID | {"LIGHT"} and o.session_uid in rendered and o.session_uid not in seen and not o.hide_render
         and not is_made(o) and not o.is_instancer
     ]  # fmt: skip
 

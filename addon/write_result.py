@@ -19,7 +19,7 @@ from ..core.health import Finding
 from ..core.layers import vertex_means
 from .errors import Refused
 from .images import BRIGHTEST
-from .marks import KEY, hide, is_made, made_layers, mark, mark_layers, originals_shown
+from .marks import KEY, hide, is_made, made_layers, mark, mark_layers, originals_shown, own_object
 from .steps import aside
 
 # Of one value of an attribute; 4 of all others.
@@ -136,7 +136,7 @@ def object_of(scene, target):
 
 def result_copies(scene):
     """{name of an object: copy in a scene that holds its result, the first of several}."""
-    return {o[f"{KEY}_of"]: o for o in reversed(scene.objects[:]) if is_made(o) and f"{KEY}_of" in o}
+    return {o[f"{KEY}_of"]: o for o in reversed(scene.objects[:]) if is_made(o) and f"{KEY}_of" in o and not o.library}
 
 
 def copy_names(scene):
@@ -144,14 +144,9 @@ def copy_names(scene):
     return {name: copy.name for name, copy in result_copies(scene).items()}
 
 
-def result_copy(scene, name):
-    """The copy in a scene that holds the result of the object of a name, or None."""
-    return result_copies(scene).get(name)
-
-
 def remove_copy(scene, copy):
     """Remove a copy that a bake made in a scene, and show its original again."""
-    mesh, original = copy.data, scene.objects.get(copy.get(f"{KEY}_of", ""))
+    mesh, original = copy.data, own_object(scene, copy.get(f"{KEY}_of", ""))
     hide(scene, [copy.get(f"{KEY}_of", "")], False)
     if original is not None:
         _select_instead(original, copy)
@@ -180,7 +175,7 @@ def source_mesh(context, target):
 def copy_with(scene, target, mesh, former):
     """A marked copy of a target's object with a mesh of its own, in place of it and of its former copy (a name, or
     None)."""
-    return _result_copy(scene, object_of(scene, target), mesh, scene.objects.get(former) if former else None)
+    return _result_copy(scene, object_of(scene, target), mesh, own_object(scene, former) if former else None)
 
 
 def _changed(target):
@@ -194,7 +189,7 @@ def _place(context, target, copy_name):
     object = object_of(scene, target)
     if object is None:
         return Finding(target.object, "it was deleted during the bake", "its light was dropped")
-    copy = scene.objects.get(copy_name) if copy_name else None
+    copy = own_object(scene, copy_name) if copy_name else None
     corners = target.last - target.first
     if not target.same:
         if copy is None or len(copy.data.loops) != corners:

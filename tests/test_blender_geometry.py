@@ -9,6 +9,7 @@ bpy = pytest.importorskip("bpy")
 from cell_radiosity.addon.errors import Refused  # noqa: E402
 from cell_radiosity.addon.job import Job, Options  # noqa: E402
 from cell_radiosity.addon.read_scene import read_scene  # noqa: E402
+from cell_radiosity.addon.write_result import remove_copy  # noqa: E402
 from cell_radiosity.core.bake import run  # noqa: E402
 
 from blender_scenes import bake_ours, colors, cube, diffuse, empty, lamp, mesh_object, plane  # noqa: E402
@@ -227,6 +228,35 @@ def test_linked_meshes_are_refused_by_name(cells, tmp_path):
     assert "Radiosity" in bpy.data.objects["wall"].data.color_attributes
     assert [f.object for f in job.result.survey.health] == ["floor"]
     assert job.scene.objects.count("floor") == 1  # it casts light all the same
+
+
+def test_a_linked_object_of_the_same_name_is_left_alone(cells, tmp_path):
+    """What steps aside for a copy, and what is out of renders, is told by the object and not by its name."""
+    lit_room()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "library.blend"))
+    scene = empty()
+    with bpy.data.libraries.load(str(tmp_path / "library.blend"), link=True) as (_, wanted):
+        wanted.objects = ["floor", "wall"]
+    linked, unseen = wanted.objects
+    for name, object in ("linked", linked), ("unseen", unseen):
+        collection = bpy.data.collections.new(name)
+        scene.collection.children.link(collection)
+        collection.objects.link(object)
+    bpy.data.collections["unseen"].hide_render = True
+    lamp("POINT", 300.0, location=(0.2, 0.1, 1.5))
+    own = plane("floor", n=4, location=(0, 0, 3))
+    own.modifiers.new("finer", "SUBSURF").subdivision_type = "SIMPLE"
+    wall = plane("wall", n=2, location=(0, 2, 0))
+    for _ in range(2):
+        job = bake_ours(cells, error=0.1)
+        assert sorted(job.scene.objects) == ["floor", "floor", "wall"]  # of the linked, one
+        assert (own.hide_render, own.hide_viewport, wall.hide_render) == (True, True, False)
+        assert (linked.hide_render, linked.hide_viewport) == (False, False)
+        assert "Radiosity" in bpy.data.objects["floor_radiosity"].data.color_attributes
+        assert "Radiosity" in wall.data.color_attributes
+        assert not linked.data.color_attributes
+    remove_copy(scene, bpy.data.objects["floor_radiosity"])
+    assert (own.hide_render, own.hide_viewport) == (False, False)
 
 
 def test_an_attribute_of_the_layers_name_that_is_not_ours_stops_the_bake(cells):
