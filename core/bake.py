@@ -312,7 +312,7 @@ class _Course:
             each = self.settings.per_object
             count = control_points(len(np.unique(self.points.object)) if each else 0)
             yield from self._smooth()
-            drawn = draw_control(self.points, self._light().total, count, each)
+            drawn = draw_control(self.points, self._light(), count, each)
             traced = Traced(rounds=self._known.traced.rounds) if self._known and self._known.traced else None
             self.control = Control(self.points, *drawn, self.cells, self.settings, self._group_count, traced)
         yield from self.look()

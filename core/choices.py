@@ -132,7 +132,7 @@ def more_control(found, settings, rays, doubt, wanted):
         return 0
     # What is known at little cost is known well beside the noise; beyond that, beside what was asked for.
     least = SMALL * error if rays >= SURE_RAYS else 0.0
-    goal = (UNSURE_ABOVE if wanted else UNSURE) * max(found.noise, least) ** 2
+    goal = (UNSURE_ABOVE if wanted or found.total > error else UNSURE) * max(found.noise, least) ** 2
     # As many as are needed: doubt falls about as fast as they grow. What is in doubt of single objects is not in it.
     least = 1 if settings.per_object else STEP
     return int(min(max(found.doubt / max(goal, 1e-300) - 1, least), 1) * rays) if found.doubt > goal else 0

@@ -24,6 +24,9 @@ CONTROL = 6  # salt of the sample sequences
 APART = 1 << 20  # seeds of control points are so far from those of the gather, in replicates
 CROWD_TESTS = 4  # times as many toward a crowd of sources
 TASK_RAYS = 1 << 15  # of one task, some 10 ms: however many cells there are, as test rays go by the points of a task
+# Shares of the control points: by area, evenly over the objects, by light, reflected light, and noise. What light straight
+# from lamps has no doubt of needs few: sunlit outer walls are most of the light that there is, and next to none of the error.
+EVERYWHERE, EACH = (0.25, 0.25, 0.1, 0.2, 0.2), (0.1, 0.65, 0.05, 0.1, 0.1)
 DIRECT_TESTS, FEWEST_TESTS = 64, 8  # test rays to a source that gives all light, and to one that gives next to none
 
 
@@ -109,16 +112,20 @@ class Control:
 def draw_control(points, light, count, per_object):
     """Ids (K,) of control points, sorted, and their weights (K,) [m^2].
 
-    Drawn from a mixture: by area times light squared, which is what the error is made of; by area; and evenly over the
-    objects, so that a dark room is seen too. per_object: most of them evenly over the objects.
+    Drawn from a mixture, see EVERYWHERE: by area, evenly over the objects, so that a dark room is seen too, and by what the
+    error is made of: light, light that was reflected, and noise, that of neighbors with it, for by chance it looks small at
+    some points. light: the Light so far. per_object: most of them evenly over the objects.
     """
-    power = points.area * (light * light).sum(axis=0)
     by_object = np.bincount(points.object, points.area)
     share = ratio(points.area, by_object[points.object]) / max(np.count_nonzero(by_object), 1)
-    mixture = (0.15, 0.15, 0.7) if per_object else (0.4, 0.3, 0.3)
-    density = np.zeros(len(points))
-    for part, values in zip(mixture, (power, points.area, share)):
-        density += part * values / max(values.sum(), 1e-300)
+    squares = (light.total**2, light.indirect**2, light.variance)
+    power, reflected, noise = (x.sum(axis=0) for x in squares)
+    upto = np.append(0.0, np.cumsum(noise[points.neighbor]))
+    noise = np.maximum(noise + np.diff(upto[points.neighbor_start]), 0.0)
+    parts = points.area, share, points.area * power, points.area * reflected, points.area * noise
+    density = np.zeros(len(points.area))
+    for weight, values in zip(EACH if per_object else EVERYWHERE, parts):
+        density += weight * values / max(values.sum(), 1e-300)
     order = np.argsort(points.object, kind="stable")
     upto = np.cumsum(density[order])
     drawn = order[np.searchsorted(upto, (np.arange(count) + 0.5) / count * upto[-1])]
