@@ -142,6 +142,7 @@ class DaskCells(Cells):
         """Give a batch to Dask, for any worker that is not avoided; `again` if the last time was not its own fault."""
         batch.attempts, batch.begun = batch.attempts + (not again), monotonic()
         usable = [address for address in self._workers if address not in self._avoided]
+        self._alive()
         batch.future = self._client.submit(
             run_batch, dict(self._names), batch.tasks, pure=False, retries=0,
             workers=usable if self._avoided and usable else None,
@@ -193,6 +194,7 @@ class DaskCells(Cells):
 
     def _ask(self, address, function, *arguments):
         """The answer of one worker; None if it is gone or hangs."""
+        self._alive()
         future = self._client.submit(function, *arguments, workers=[address], pure=False)
         try:
             return future.result(timeout=PATIENCE)
