@@ -39,8 +39,9 @@ def case(within, heavy=False, **settings):
 
 
 class Baker:
-    """Bakes scenes with each of several `Cells`, and asserts what must hold of any bake: the same bits from all,
-    finite light that is nowhere below 0, power in balance, no warning of numpy's."""
+    """Bakes scenes, the first with each of several `Cells`, the others, most of them easier twins, with the last of them;
+    asserts what must hold of any bake: the same bits from all, finite light that is nowhere below 0, power in balance, no
+    warning of numpy's."""
 
     def __init__(self, cells, **settings):
         self.cells, self.settings = cells, settings
@@ -51,6 +52,7 @@ class Baker:
         with warnings.catch_warnings():
             warnings.simplefilter("error", RuntimeWarning)
             first, *others = (run(bake(scene, settings, cells)) for cells in self.cells)
+        self.cells = self.cells[-1:]
         for other in others:
             assert np.array_equal(first.light.direct, other.light.direct)
             assert np.array_equal(first.light.indirect, other.light.indirect)

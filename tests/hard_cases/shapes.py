@@ -312,7 +312,7 @@ def flipped_normals(bake):
 @case(within=0.01)
 def a_hole_in_a_sphere(bake):
     """A sphere with reflectance rho and a hole of the share h: wall light H = E (1 - h) / (1 - rho (1 - h)) in the mean."""
-    whole = icosphere("sphere", splits=3)
+    whole = icosphere("sphere", splits=2)
     low = whole.vertices[whole.corner_vertex.reshape(-1, 3)].mean(axis=1)[:, 2] < 0.6
     polygons = whole.corner_vertex.reshape(-1, 3)[low]
     baked = bake(join_meshes([Mesh.of_polygons("sphere", whole.vertices, polygons.tolist())], [gray(0.8, 1.0)]))
@@ -338,32 +338,39 @@ def moved(scene, scale, offset):
     return replace(scene, vertices=scene.vertices * scale + np.array(offset), lamps=tuple(lamps))
 
 
-def moved_off(bake, scale, offset):
-    """The deviation of a moved and scaled scene's light from that of the scene itself."""
+def moved_off(bake, moves):
+    """The worst deviation of a scene's light after moves (scale, offset) from that of the scene itself."""
     scene = room(box("block", (0.3, 0.3, 0.2), (0.6, 0.6, 0.5), 2, False))
-    plain, far = bake(scene, gather_rays=512), bake(moved(scene, scale, offset), gather_rays=512)
-    back = (far.points.position - np.asarray(offset)) / scale
-    match = nearest(plain.points, back, far.points.normal)
-    assert len(np.unique(match)) == len(plain.points)
-    return off(total(far), total(plain)[match])
+    moves = [(scale, np.asarray(offset)) for scale, offset in moves]
+    far = [bake(moved(scene, *move), gather_rays=512) for move in moves]
+    plain, worst = bake(scene, gather_rays=512), 0.0
+    for (scale, offset), baked in zip(moves, far):
+        back = (baked.points.position - offset) / scale
+        match = nearest(plain.points, back, baked.points.normal)
+        assert len(np.unique(match)) == len(plain.points)
+        worst = max(worst, off(total(baked), total(plain)[match]))
+    return worst
+
+
+FAR = np.array((1e8, -1e8, 1e8))
 
 
 @case(within=1e-3)
 def scales_from_1e_minus_6_to_1e6(bake):
     """The same light as at scale 1."""
-    return max(moved_off(bake, s, (0, 0, 0)) for s in (1e-6, 1e-3, 1e3, 1e6))
+    return moved_off(bake, [(s, np.zeros(3)) for s in (1e-6, 1e6, 1e-3, 1e3)])
 
 
 @case(within=0.03)
 def offset_of_1e8_sizes(bake):
     """The same light as at the origin: places are rounded to 1e-8 of the scene there, and no more is lost."""
-    return moved_off(bake, 1.0, (1e8, -1e8, 1e8))
+    return moved_off(bake, [(1.0, FAR)])
 
 
 @case(within=0.03)
 def scale_and_offset_at_once(bake):
     """1e-6 in size at 100 m, and 1e6 in size at 1e14 m: the same light as in size 1 at the origin."""
-    return max(moved_off(bake, s, s * np.array((1e8, -1e8, 1e8))) for s in (1e-6, 1e6))
+    return moved_off(bake, [(s, s * FAR) for s in (1e-6, 1e6)])
 
 
 @case(within=0.01)

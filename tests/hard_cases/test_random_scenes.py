@@ -15,6 +15,7 @@ from cell_radiosity.core.cells import LocalCells
 from scenes import bake, run
 
 EACH = 50  # scenes of a test
+QUICK = 50  # scenes that are not among the heavy ones
 HANG = 600  # seconds for a test, after which the run ends and says where it was
 FOUND = (25, 43, 44, 74, 121, 137, 176, 439, 612, 1023, 1039, 1084)  # scenes that once came to grief
 
@@ -38,7 +39,9 @@ def watched():
     faulthandler.cancel_dump_traceback_later()
 
 
-@pytest.mark.parametrize("first", range(0, 300, EACH))
+@pytest.mark.parametrize(
+    "first", [pytest.param(n, marks=[pytest.mark.heavy] if n >= QUICK else []) for n in range(0, 300, EACH)]
+)
 def test_random_scenes(first):
     for seed in range(first, first + EACH):
         bake_random(seed)

@@ -22,8 +22,9 @@ from cell_radiosity.core.cells import LocalCells, make_cells  # noqa: E402
 
 HEAD = """# Hard cases
 
-Made by `make hard-cases`. Every case goes through the whole bake with one cell and with two, which must give the same
-bits; its light must be finite and nowhere below 0, its power in balance. Beyond that each has a property of its own.
+Made by `make hard-cases`. The first scene of every case goes through the whole bake with one cell and with two, which
+must give the same bits, its twins with two; light must be finite and nowhere below 0, power in balance. Beyond that each
+case has a property of its own.
 The deviation is the worst at any point, as a share of the mean, or what the property says; seconds are those of all
 bakes of a case on two shared cores, the memory is that of host and cells at their peak.
 
