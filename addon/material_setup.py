@@ -47,7 +47,12 @@ def take_out(materials):
 
 def with_set_up():
     """The materials of the file that have a group."""
-    return [m for m in bpy.data.materials if m.library is None and _groups(m.node_tree)]
+    return [m for m in bpy.data.materials if m.library is None and is_set_up(m)]
+
+
+def is_set_up(material):
+    """Whether a material, which may be None, has a group."""
+    return material is not None and bool(_groups(material.node_tree))
 
 
 def any_set_up():

@@ -34,7 +34,7 @@ from .viewport import (
     show,
     show_in_views,
 )  # fmt: skip
-from .write_result import remove_copy
+from .write_result import remove_copies
 
 TICK = 0.02  # seconds between looks at the running bake
 STEP = 0.03  # seconds of reading or writing between two of Blender's own turns
@@ -480,8 +480,7 @@ class RADIOSITY_OT_clear(_OfResult, bpy.types.Operator):
     @writing
     def execute(self, context):
         material_setup.take_out(material_setup.with_set_up())
-        for copy in [o for o in context.scene.objects if is_made(o)]:
-            remove_copy(context.scene, copy)
+        remove_copies(context.scene, [o for o in context.scene.objects if is_made(o)])
         for mesh in baked_meshes(context.scene):
             for name in made_layers(mesh):
                 attribute = mesh.color_attributes.get(name)

@@ -14,6 +14,7 @@ import bpy
 import numpy as np
 
 from ..core.atlas import NoUnwrapper, make_atlas, read_atlas, unpacked_atlas
+from ..core.bake import run
 from ..core.groups import make_groups
 from ..core.health import Finding
 from ..core.layers import PLAIN, layer_colors, luminance, texel_colors
@@ -35,9 +36,13 @@ from .write_result import (
     copies_of_shared,
     copy_names,
     copy_with,
+    drop_sources,
+    make_room,
     object_of,
+    own_mesh,
     result_copies,
-    source_mesh,
+    source_meshes,
+    source_of,
     srgb,
     write_layers,
     writing_result,
@@ -58,6 +63,7 @@ class VertexColors:
     def __init__(self, options):
         self.options = options
         self.place, self.average, self.lightmaps, self.findings, self.exposure = None, None, (), (), None
+        self._remade = set()  # Blender's numbers for the copies that were made
 
     def read(self, context, scene, targets):
         """Check, before any work, that nothing of the user's is in the way, and that what is to be filled is there."""
@@ -95,7 +101,7 @@ class VertexColors:
 
     def painting(self, context, targets, preview, step=inf):
         """Show a `preview`, in steps of some `step` seconds."""
-        return writing_result(context, preview, targets, self.options.domain, step=step)
+        return writing_result(context, preview, targets, self.options.domain, step=step, remade=self._remade)
 
     def picture(self, result):
         """What a picture of a Bake is colored with: its corners' Radiosity."""
@@ -104,7 +110,7 @@ class VertexColors:
     def writing(self, context, targets, step=inf):
         """Write, in steps of some `step` seconds; returns Findings."""
         findings = yield from writing_result(
-            context, self.colors, targets, self.options.domain, self.encoded, self.channel, step
+            context, self.colors, targets, self.options.domain, self.encoded, self.channel, step, self._remade
         )
         if self.options.bytes:
             copies = result_copies(context.scene)
@@ -143,28 +149,32 @@ class FinerColors(VertexColors):
 
     def writing(self, context, targets, step=inf):
         """Write, in steps; returns Findings."""
-        findings, fits, formers = [], [], copy_names(context.scene)
+        findings, fits = [], []
+        sources = yield from source_meshes(context, targets)
+        if not self.options.in_place:
+            make_room(context.scene, targets, sources, copy_names(context.scene))
         for target in targets:
             yield
-            with source_mesh(context, target) as source:
-                if isinstance(source, Finding):
-                    findings.append(source)
-                    continue
-                piece = piece_of(self._coarse, self.remesh, target)
-                mesh = make_mesh(source, source.name, piece)
-                object = object_of(context.scene, target)
-                former, carried = object.data, carried_by(object)
-                if self.options.in_place:
-                    findings += self._replace_mesh(object, mesh)
-                    holder = object
-                else:
-                    holder = copy_with(context.scene, target, mesh, formers.get(target.object))
-                carry(holder, carried, source, piece)
-                if self.options.in_place and former.users == 0:
-                    name = former.name
-                    bpy.data.meshes.remove(former)
-                    mesh.name = name
+            source = source_of(context.scene, target, sources)
+            if isinstance(source, Finding):
+                findings.append(source)
+                continue
+            piece = piece_of(self._coarse, self.remesh, target)
+            mesh = make_mesh(source, source.name, piece)
+            object = object_of(context.scene, target)
+            former, carried = object.data, carried_by(object)
+            if self.options.in_place:
+                findings += self._replace_mesh(object, mesh)
+                holder = object
+            else:
+                holder = copy_with(context.scene, target, mesh)
+            carry(holder, carried, source, piece)
+            if self.options.in_place and former.users == 0:
+                name = former.name
+                bpy.data.meshes.remove(former)
+                mesh.name = name
             fits.append(replace(target, object=holder.name, first=0, last=len(piece.index), corner=piece.index))
+        drop_sources(sources)
         for fit in fits:
             yield
             self._write(context, fit)
@@ -203,13 +213,16 @@ class Lightmaps:
         self.name, self._uv = self.options.uv or UV_MAP, None
         if self.options.uv:
             self._uv = np.zeros((len(scene.corner_vertex), 2))
-        else:
-            check_names(targets, (UV_MAP,))
+            sources = run(source_meshes(context, targets))
+            try:
+                for target in targets:
+                    self._read_uv(target, own_mesh(sources[target.object]))
+            finally:
+                drop_sources(sources)
+            return
+        check_names(targets, (UV_MAP,))
         for target in targets:
-            if self._uv is not None:
-                with source_mesh(context, target) as mesh:
-                    self._read_uv(target, mesh)
-            elif len(bpy.data.objects[target.object].data.uv_layers) >= MOST_UV_MAPS:
+            if len(bpy.data.objects[target.object].data.uv_layers) >= MOST_UV_MAPS:
                 raise Refused(f"{target.object}: it has 8 UV maps, as many as there can be; remove one")
 
     def _read_uv(self, target, mesh):
@@ -298,7 +311,7 @@ class Lightmaps:
 
     def writing(self, context, targets, step=inf):
         """Write images and copies, in steps; returns Findings."""
-        images, copies, formers = {}, [], copy_names(context.scene)
+        images, copies = {}, []
         output, files = self.options.output or bpy.data.filepath, file_names(self.atlas.names)
         for layer, pictures in self.images.items():
             for number, name in enumerate(self.atlas.names):
@@ -311,17 +324,19 @@ class Lightmaps:
                     copies.append(make_image(f"{name}_{coded(layer)}", encoded, path, "byte"))
                     copies[-1][EXPOSURE] = self.exposure
         remesh = None if self._uv is not None else triangulated(self.scene)
-        findings = []
+        findings, sources = [], (yield from source_meshes(context, targets))
+        make_room(context.scene, targets, sources, copy_names(context.scene))
         for target in targets:
             yield
-            with source_mesh(context, target) as source:
-                if isinstance(source, Finding):
-                    findings.append(source)
-                    continue
-                copy = self._copy(context.scene, target, source, remesh, formers.get(target.object))
+            source = source_of(context.scene, target, sources)
+            if isinstance(source, Finding):
+                findings.append(source)
+                continue
+            copy = self._copy(context.scene, target, source, remesh)
             number = self._image_of(target)
             if number is not None:
                 show(copy, (images[next(iter(self.images)), number], self.name))
+        drop_sources(sources)
         forget_others([*images.values(), *copies])
         return tuple(findings)
 
@@ -333,13 +348,12 @@ class Lightmaps:
         )
         return int(self.atlas.image[triangles[0]]) if len(triangles) else None
 
-    def _copy(self, scene, target, source, remesh, former):
-        """The copy of a target's object that holds its lightmap's UV map. source: its mesh as it is rendered; former:
-        name of the copy that it replaces, or None."""
+    def _copy(self, scene, target, source, remesh):
+        """The copy of a target's object that holds its lightmap's UV map. source: its mesh as it is rendered."""
         if remesh is None:
-            return copy_with(scene, target, source.copy(), former)
+            return copy_with(scene, target, source)
         piece = piece_of(self.scene, remesh, target)
-        copy = copy_with(scene, target, make_mesh(source, source.name, piece), former)
+        copy = copy_with(scene, target, make_mesh(source, source.name, piece))
         carry(copy, carried_by(object_of(scene, target)), source, piece)
         uv = np.zeros((len(self.scene.triangles), 3, 2))
         uv[self.atlas.triangle] = self.atlas.uv

@@ -36,10 +36,9 @@ def discard(object):
 
 def forget_others(images):
     """Remove materials and images that bakes made and nothing uses any more, but these images."""
-    for material in [m for m in bpy.data.materials if m.get(KEY) and not m.users]:
-        bpy.data.materials.remove(material)
-    for image in [i for i in bpy.data.images if i.get(KEY) and i not in images and i.users == i.use_fake_user]:
-        bpy.data.images.remove(image)
+    images = set(images)
+    bpy.data.batch_remove([m for m in bpy.data.materials if m.get(KEY) and not m.users])
+    bpy.data.batch_remove([i for i in bpy.data.images if i.get(KEY) and i not in images and i.users == i.use_fake_user])
 
 
 def _shown(material, source, shader):

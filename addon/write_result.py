@@ -20,6 +20,7 @@ from ..core.layers import vertex_means
 from .errors import Refused
 from .images import BRIGHTEST
 from .marks import KEY, hide, is_made, made_layers, mark, mark_layers, originals_shown, own_object
+from .material_setup import is_set_up
 from .steps import aside
 
 # Of one value of an attribute; 4 of all others.
@@ -47,36 +48,41 @@ def write_result(context, colors, targets, domain):
     return run(writing_result(context, colors, targets, domain))
 
 
-def writing_result(context, colors, targets, domain, encoded=(), channel=None, step=inf):
+def writing_result(context, colors, targets, domain, encoded=(), channel=None, step=inf, remade=None):
     """`write_result` in steps of some `step` seconds: a generator that yields before each object, and before each layer
     of a large one.
 
     encoded: names of the layers that are written as 8-bit colors. channel: (attribute, number of its channel, (C,)
-    values), to be written into an attribute that is there.
+    values), to be written into an attribute that is there. remade: the set of Blender's numbers for copies that this bake
+    has made anew, which are added to it; all others are of an earlier one, whose modifiers may have made another shape.
     """
-    findings = []
+    findings, remade = [], set() if remade is None else remade
     copies = copy_names(context.scene)
-    for target in targets:
-        yield
-        # What needs no Blender comes first: in the turns that it takes the mesh may go.
-        own = yield from aside(step, _layers_of_target, target, colors, domain)
-        filled = channel and (*channel[:2], _of_target(target, channel[2]))
-        holder = None
-        for layer in own:
-            if (
-                holder is None or target.last - target.first > MANY
-            ):  # to find an object takes as long as to write a small one
-                yield
-                holder = _place(context, target, copies.get(target.object))
-            if isinstance(holder, Finding):
-                findings.append(holder)
-                break
-            if not target.same:  # it is a copy, perhaps a new one
-                copies[target.object] = holder.name
-            _write_layer(holder.data, layer, domain, own[layer], layer in encoded)
-            mark_layers(holder.data, [layer])
-        else:
-            _finish(holder.data, next(iter(own)), filled)
+    new = [t for t in targets if not t.same and not _kept(context.scene, t, copies, remade)]
+    sources = yield from source_meshes(context, new)
+    try:
+        make_room(context.scene, new, sources, copies)
+        for target in targets:
+            yield
+            # What needs no Blender comes first: in the turns that it takes the mesh may go.
+            own = yield from aside(step, _layers_of_target, target, colors, domain)
+            filled = channel and (*channel[:2], _of_target(target, channel[2]))
+            holder = None
+            for layer in own:
+                if (
+                    holder is None or target.last - target.first > MANY
+                ):  # to find an object takes as long as to write a small one
+                    yield
+                    holder = _place(context.scene, target, copies, remade, sources)
+                if isinstance(holder, Finding):
+                    findings.append(holder)
+                    break
+                _write_layer(holder.data, layer, domain, own[layer], layer in encoded)
+                mark_layers(holder.data, [layer])
+            else:
+                _finish(holder.data, next(iter(own)), filled)
+    finally:
+        drop_sources(sources)
     return tuple(findings)
 
 
@@ -144,66 +150,123 @@ def copy_names(scene):
     return {name: copy.name for name, copy in result_copies(scene).items()}
 
 
-def remove_copy(scene, copy):
-    """Remove a copy that a bake made in a scene, and show its original again."""
-    mesh, original = copy.data, own_object(scene, copy.get(f"{KEY}_of", ""))
-    hide(scene, [copy.get(f"{KEY}_of", "")], False)
-    if original is not None:
-        _select_instead(original, copy)
-    bpy.data.objects.remove(copy)
-    if mesh.users == 0:
-        bpy.data.meshes.remove(mesh)
+def remove_copies(scene, copies):
+    """Remove copies that a bake made in a scene, and show their originals again. All at once: for each single one Blender
+    looks through the whole file."""
+    meshes = [copy.data for copy in copies]
+    for copy in copies:
+        original = own_object(scene, copy.get(f"{KEY}_of", ""))
+        if original is not None:
+            hide(scene, [original.name], False)
+            _select_instead(original, copy)
+    bpy.data.batch_remove(copies)
+    _drop_meshes(meshes)
 
 
-@contextlib.contextmanager
-def source_mesh(context, target):
-    """The mesh of an object as it is rendered, whose corners are the target's, for a while; a Finding if the object is
-    not what was read."""
-    object = object_of(context.scene, target)
-    if object is None:
-        yield Finding(target.object, "it was deleted during the bake", "its light was dropped")
-        return
-    with originals_shown(context.scene):
-        mesh = _evaluated_mesh(object, context.evaluated_depsgraph_get())
+def make_room(scene, targets, sources, copies):
+    """Remove the former copies of those targets that have a mesh among sources. copies: {name of an object: name of its
+    copy}, from which they are taken."""
+    former = []
+    for target in targets:
+        source = source_of(scene, target, sources)
+        copy = own_object(scene, copies[target.object]) if target.object in copies else None
+        if copy is None or isinstance(source, Finding):
+            continue
+        if not source.materials:
+            for material in filter(is_set_up, copy.data.materials):
+                source.materials.append(material)
+        del copies[target.object]
+        former.append(copy)
+    remove_copies(scene, former)
+
+
+def source_meshes(context, targets):
+    """{name of a target's object: name of a new mesh of it, as it is rendered}: a generator that yields between objects.
+    All at once: after an object is hidden, or a copy made, Blender evaluates the whole scene anew."""
+    made = {}
     try:
-        yield mesh if len(mesh.loops) == target.last - target.first else _changed(target)
-    finally:
-        if mesh.users == 0:
-            bpy.data.meshes.remove(mesh)
+        with originals_shown(context.scene):
+            for target in targets:
+                yield
+                object = object_of(context.scene, target)
+                if object is not None:
+                    made[target.object] = _evaluated_mesh(object, context.evaluated_depsgraph_get()).name
+    except BaseException:
+        drop_sources(made)
+        raise
+    return made
 
 
-def copy_with(scene, target, mesh, former):
-    """A marked copy of a target's object with a mesh of its own, in place of it and of its former copy (a name, or
-    None)."""
-    return _result_copy(scene, object_of(scene, target), mesh, own_object(scene, former) if former else None)
+def source_of(scene, target, sources):
+    """The mesh among those of `source_meshes` whose corners are a target's; a Finding if the object is not what was read."""
+    if object_of(scene, target) is None:
+        return Finding(target.object, "it was deleted during the bake", "its light was dropped")
+    mesh = own_mesh(sources.get(target.object))
+    if mesh is None or len(mesh.loops) != target.last - target.first:
+        return Finding(target.object, "its mesh was changed during the bake", "its light was dropped: bake it again")
+    return mesh
 
 
-def _changed(target):
-    return Finding(target.object, "its mesh was changed during the bake", "its light was dropped: bake it again")
+def drop_sources(sources):
+    """Remove those meshes of `source_meshes` that nothing uses."""
+    _drop_meshes([own_mesh(name) for name in sources.values()])
 
 
-def _place(context, target, copy_name):
+def own_mesh(name):
+    """The file's own mesh of a name, or None."""
+    return bpy.data.meshes.get((name, None)) if name else None
+
+
+def _drop_meshes(meshes):
+    bpy.data.batch_remove([mesh for mesh in set(meshes) if mesh is not None and mesh.users == 0])
+
+
+def copy_with(scene, target, mesh):
+    """A marked copy of a target's object with another mesh and no modifiers, in place of the object, which is hidden."""
+    object = object_of(scene, target)
+    copy = object.copy()
+    copy.data = mesh
+    copy.name = mesh.name = f"{object.name}_radiosity"
+    copy.modifiers.clear()
+    copy.animation_data_clear()
+    mark(copy)
+    copy[f"{KEY}_of"] = object.name
+    for collection in object.users_collection:
+        collection.objects.link(copy)
+    _select_instead(copy, object)
+    hide(scene, [object.name], True)
+    return copy
+
+
+def _kept(scene, target, copies, remade):
+    """The copy of a target's object that this bake has made, and that still is what it was; or None."""
+    copy = own_object(scene, copies[target.object]) if target.object in copies else None
+    fits = copy is not None and copy.session_uid in remade and len(copy.data.loops) == target.last - target.first
+    return copy if fits else None
+
+
+def _place(scene, target, copies, remade, sources):
     """The object whose mesh takes a target's light, made if need be; a Finding if the object is not what was read.
-    copy_name: of the copy that holds its last result, or None."""
-    scene = context.scene
+    copies: {name of an object: name of the copy that holds its result}, kept up to date, as is remade; sources: of
+    `source_meshes`."""
+    if not target.same:
+        copy = _kept(scene, target, copies, remade)
+        if copy is None or object_of(scene, target) is None:
+            mesh = source_of(scene, target, sources)
+            if isinstance(mesh, Finding):
+                return mesh
+            copy = copy_with(scene, target, mesh)
+            copies[target.object] = copy.name
+            remade.add(copy.session_uid)
+        return copy
     object = object_of(scene, target)
     if object is None:
         return Finding(target.object, "it was deleted during the bake", "its light was dropped")
-    copy = own_object(scene, copy_name) if copy_name else None
-    corners = target.last - target.first
-    if not target.same:
-        if copy is None or len(copy.data.loops) != corners:
-            with originals_shown(scene):
-                mesh = _evaluated_mesh(object, context.evaluated_depsgraph_get())
-            if len(mesh.loops) != corners:
-                bpy.data.meshes.remove(mesh)
-                return _changed(target)
-            copy = _result_copy(scene, object, mesh, copy)
-        return copy
-    if len(object.data.loops) != corners or object.mode == "EDIT":
-        return _changed(target)
+    if len(object.data.loops) != target.last - target.first or object.mode == "EDIT":
+        return Finding(target.object, "its mesh was changed during the bake", "its light was dropped: bake it again")
+    copy = own_object(scene, copies[target.object]) if target.object in copies else None
     if copy is not None:
-        remove_copy(scene, copy)
+        remove_copies(scene, [copy])
     if object.data.users - object.data.use_fake_user > 1:
         object.data = object.data.copy()
     return object
@@ -278,25 +341,6 @@ def _evaluated_mesh(object, depsgraph):
         if name in mesh.color_attributes:
             mesh.color_attributes.remove(mesh.color_attributes[name])
     return mesh
-
-
-def _result_copy(scene, object, mesh, former):
-    """A marked copy of an object with another mesh and no modifiers, in place of the former one, if there is one; the
-    original is hidden."""
-    if former is not None:
-        remove_copy(scene, former)
-    copy = object.copy()
-    copy.data = mesh
-    copy.name = mesh.name = f"{object.name}_radiosity"
-    copy.modifiers.clear()
-    copy.animation_data_clear()
-    mark(copy)
-    copy[f"{KEY}_of"] = object.name
-    for collection in object.users_collection:
-        collection.objects.link(copy)
-    _select_instead(copy, object)
-    hide(scene, [object.name], True)
-    return copy
 
 
 def _select_instead(shown, hidden):

@@ -8,8 +8,9 @@ import pytest
 bpy = pytest.importorskip("bpy")
 from cell_radiosity.addon.errors import Refused  # noqa: E402
 from cell_radiosity.addon.job import Job, Options  # noqa: E402
+from cell_radiosity.addon.material_setup import set_up  # noqa: E402
 from cell_radiosity.addon.read_scene import read_scene  # noqa: E402
-from cell_radiosity.addon.write_result import remove_copy  # noqa: E402
+from cell_radiosity.addon.write_result import remove_copies  # noqa: E402
 from cell_radiosity.core.bake import run  # noqa: E402
 
 from blender_scenes import bake_ours, colors, cube, diffuse, empty, lamp, mesh_object, plane  # noqa: E402
@@ -149,6 +150,61 @@ def test_modifiers_that_change_the_polygons_write_to_a_copy(cells):
     assert np.array_equal(colors(bpy.data.objects["floor_radiosity"].data, "Radiosity"), first)
 
 
+def many_modified(count):
+    """Cubes whose modifiers change their polygons, above a floor."""
+    lit_room()
+    for k in range(count):
+        cube(f"cube {k}", 0.1, location=(0.2 * k - 1, 0, 0.5)).modifiers.new("finer", "SUBSURF")
+
+
+@pytest.mark.parametrize("options", [{}, {"mesh": "subdivide", "max_edge": 0.5}, {"target": "lightmap"}])
+def test_copies_are_made_without_evaluating_the_scene_for_each(cells, options):
+    """Blender evaluates it as often for ten objects as for two, the first time and when they have copies."""
+    evaluated = {}
+    for count in (2, 10):
+        many_modified(count)
+        updates = []
+
+        def note(scene, depsgraph, updates=updates):
+            updates.append(1)
+
+        bpy.app.handlers.depsgraph_update_post.append(note)
+        try:
+            for _ in range(2):
+                bake_ours(cells, error=0.5, texels_per_meter=4, **options)
+                evaluated.setdefault(count, []).append(len(updates))
+        finally:
+            bpy.app.handlers.depsgraph_update_post.pop()
+        copies = [o for o in bpy.data.objects if o.get("cell_radiosity_of", "").startswith("cube")]
+        assert len(copies) == count
+        assert not [m for m in bpy.data.meshes if not m.users]
+    assert evaluated[2] == evaluated[10] > [0, 0]
+
+
+def test_a_copy_follows_modifiers_that_make_another_shape_of_as_many_faces(cells):
+    """It is made anew by each bake, but not while the light of one comes; a material that was set up for it stays."""
+    floor = lit_room()
+    floor.modifiers.new("finer", "SUBSURF").subdivision_type = "SIMPLE"
+    floor.modifiers.new("up", "DISPLACE").strength = 0.0
+    bake_ours(cells)
+    copy = bpy.data.objects["floor_radiosity"]
+    set_up([copy], "Radiosity", "EMISSION")
+    (material,) = copy.data.materials
+    floor.modifiers["up"].strength = 0.25
+    bpy.context.view_layer.update()
+    job = Job(bpy.context, Options(), cells=cells)
+    for progress in job.bake():
+        light = job.so_far(progress)
+        if light is not None:
+            run(job.output.painting(bpy.context, job.targets, job.output.preview(light)))
+            shown = bpy.data.objects["floor_radiosity"].session_uid
+    job.write(bpy.context)
+    copy = bpy.data.objects["floor_radiosity"]
+    assert copy.session_uid == shown
+    assert {round(v.co.z, 5) for v in copy.data.vertices} == {0.125}  # displacement is from a middle level of a half
+    assert list(copy.data.materials) == [material]
+
+
 def test_shared_meshes_get_a_copy_each(cells):
     """Linked duplicates: each has its own light afterwards, none is overwritten by another's."""
     floor = lit_room()
@@ -255,7 +311,7 @@ def test_a_linked_object_of_the_same_name_is_left_alone(cells, tmp_path):
         assert "Radiosity" in bpy.data.objects["floor_radiosity"].data.color_attributes
         assert "Radiosity" in wall.data.color_attributes
         assert not linked.data.color_attributes
-    remove_copy(scene, bpy.data.objects["floor_radiosity"])
+    remove_copies(scene, [bpy.data.objects["floor_radiosity"]])
     assert (own.hide_render, own.hide_viewport) == (False, False)
 
 
