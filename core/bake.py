@@ -28,7 +28,7 @@ from .lights import emitting_polygons, make_sources
 from .occlusion import find_openness
 from .paper import solve_paper
 from .patches import Patches, count_patches, patch_of_hit, patch_size
-from .pictures import add_pictures
+from .pictures import add_pictures, near_pictures
 from .placing import refill, thin_findings
 from .points import Points, make_points
 from .prices import PRICED, Pilot, price_list
@@ -246,9 +246,7 @@ class _Course:
         shadows, seen = found.needs("occlusion"), len(sky)
         shut = shut_in(scene, found.island) if settings.side == "front" else None
         sources, sampled = make_sources(scene.but(world=world), shut)
-        patches = (
-            known.patches if known else make_fine_patches(scene, sources if settings.graded else None, edge, growth)
-        )
+        patches = known.patches if known else self._fine_patches(sources, sampled, edge, growth)
         self._fit(len(patches), self._points_foreseen())
         cells.start(transport_arrays(patches, sources, shadows, seen))
         # Patches that are to be the mesh's own polygons stay what they are.
@@ -267,6 +265,13 @@ class _Course:
         if self.points is not None:  # they have been on other patches
             self.side = sides_of(self.points, cells)
         self.clock.lap("patches")
+
+    def _fine_patches(self, sources, sampled, edge, growth):
+        """Patches as they are at first, before they are cut where they touch."""
+        if edge is None or not self.settings.graded:
+            return make_fine_patches(self.scene, None, edge, growth)
+        longest = near_pictures(self.scene, sampled, edge, self.cells)
+        return make_fine_patches(self.scene, sources, edge, growth, longest)
 
     def transport(self):
         """Phase 1: patches, and the radiosity of their sides."""

@@ -1,6 +1,7 @@
 """Faces whose light varies over them, as screens and lampshades have it, or that are there in part: as sources.
 
-Owns the choice of them and the sources that stand for them: the elements of their patches, each with its mean light.
+Owns the choice of them, how fine their patches are, and the sources that stand for them: the elements of these patches,
+each with its mean light.
 """
 
 from __future__ import annotations
@@ -8,7 +9,38 @@ from __future__ import annotations
 import numpy as np
 
 from .lights import MOST_FLATS, emitting_polygons, flat_sources, join_sources
+from .share import face_rays
 from .surfaces import make_surfaces
+from .vectors import counted
+
+RAYS = 1 << 14  # in all from each side of such faces, that look for what is near them,
+LEAST_RAYS = 4  # and from each triangle
+NEAR = 0.2  # of the rays from a side of a face meet what is near it
+LONGEST = 0.5  # of the distance to what is near, its patches are at most long,
+FINEST = 0.05  # and so many times as long as others at the least
+
+
+def near_pictures(scene, sampled, edge, cells):
+    """(P,) how many times `edge` [m] patches of polygons may be long: where a face whose light is not even is close before
+    a surface, this sees the light of each part by itself. sampled: (P,) bool, those whose light is even. cells: started with
+    the arrays that rays need."""
+    longest = np.ones(len(scene.polygon_material))
+    uneven = np.setdiff1d(emitting_polygons(scene), np.flatnonzero(sampled))
+    triangle = np.flatnonzero(scene.usable & np.isin(scene.triangle_polygon, uneven))
+    if not 0 < LEAST_RAYS * len(triangle) <= RAYS:  # of more triangles, each is small
+        return longest
+    owner, number = counted(np.full(len(triangle), RAYS // len(triangle)))
+    polygon = scene.triangle_polygon[triangle[owner]]
+    for side in (0, 1):
+        position, normal, direction = face_rays(scene, triangle[owner], number, side)
+        (hit,) = cells.take([cells.submit("cast", position=position, normal=normal, direction=direction)])
+        distance = np.where(hit["triangle"] >= 0, scene.diagonal * hit["distance"].astype(float), np.inf)
+        order = np.lexsort((distance, polygon))
+        first = np.flatnonzero(np.diff(polygon[order], prepend=-1))
+        size = np.diff(np.append(first, len(order)))
+        near = distance[order[first + (NEAR * size).astype(np.int64)]]
+        longest[polygon[order[first]]] = np.minimum(longest[polygon[order[first]]], LONGEST * near / edge)
+    return np.maximum(longest, FINEST)
 
 
 def add_pictures(scene, patches, sources, sampled):

@@ -25,17 +25,19 @@ MOST_CHANGE = 5.0  # that counts there: more of it is on a few patches, which li
 AGAIN = 2.0  # times the light that sources give patches in the mean they get with what is reflected
 FINEST = 0.2  # times as long are patches at the least
 MOST_PAIRS = 1 << 24  # of a patch and a piece of a source that are looked at
-MOST_MORE, TRIES = 2.0, 3  # times as many patches there may be, or they are made less fine, in so many steps at most
+MOST_MORE, TRIES = 2.0, 3  # times as many patches there may be, or they are made less fine, in so many steps at most,
+SPARE = 1.1  # times less than their number calls for
 CLOSE = 0.5  # of its size, and of the source's, a patch must be nearer to the source to be cut along its outline
 APART = 1e-6  # of the source's size, at least: what lies in its plane gets nothing
 LEVEL = 0.7  # least cosine between patch and source
 INSIDE = 1e-6  # of a patch's size, its corners lie at least beyond an outline that cuts it
 
 
-def make_fine_patches(scene, sources, edge, growth):
+def make_fine_patches(scene, sources, edge, growth, longest=1.0):
     """The Patches of a scene, see `make_patches`, shorter where light of Sources falls off steeply, and cut along the
-    outlines of those that are close before them; None: nowhere."""
-    patches = _steep_patches(scene, sources, edge, growth)
+    outlines of those that are close before them; None: nowhere. longest: (P,) how many times `edge` those of each polygon
+    may be long."""
+    patches = _steep_patches(scene, sources, edge, growth, np.minimum(longest, 1.0))
     return patches if edge is None or sources is None else _cut_outlines(patches, sources)
 
 
@@ -94,9 +96,12 @@ def _find_outline(patches, ids, sources, s, plane):
         free &= ~crossed
 
 
-def _steep_patches(scene, sources, edge, growth):
-    """The Patches of a scene, shorter where light of Sources falls off steeply."""
+def _steep_patches(scene, sources, edge, growth, longest):
+    """The Patches of a scene, shorter where light of Sources falls off steeply; longest: of each polygon, see
+    `make_fine_patches`."""
     patches = make_patches(scene, edge, growth)
+    if np.any(longest < 1.0):
+        patches = _finer_patches(scene, edge, growth, longest, patches)
     crowd = make_crowd(sources, sources.kind <= BALL, scene.diagonal) if sources is not None else None
     if (
         edge is None
@@ -123,9 +128,15 @@ def _steep_patches(scene, sources, edge, growth):
     np.minimum.at(finer, patches.polygon, wanted)
     if (finer == 1.0).all():
         return patches
+    return _finer_patches(scene, edge, growth, np.minimum(finer, longest), patches)
+
+
+def _finer_patches(scene, edge, growth, finer, patches):
+    """Patches so many times (P,) finer, or less so, that there are not too many more of them than patches; else these."""
     for _ in range(TRIES):
         fine = make_patches(scene, edge, growth, finer)
-        if len(fine) <= MOST_MORE * len(patches):
+        more = (len(fine) - len(patches)) / ((MOST_MORE - 1.0) * len(patches))
+        if more <= 1.0:
             return fine
-        finer = np.sqrt(finer)
+        finer = np.minimum(SPARE * np.sqrt(more) * finer, 1.0)
     return patches
