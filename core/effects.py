@@ -31,6 +31,7 @@ SEEN = 150  # rays of the survey from each side of the faces, divided by the err
 MOST_RAYS = 100_000  # of the survey, from each side
 SHADOWS = ("occlusion", "sky", "textures", "transparency")  # effects by which light changes within a short way
 EACH = 4  # rays at least from each side of every piece of surface
+ALONE = 256  # from what seems to see nothing that has light
 EARLY = 8  # one in so many rays goes before the others
 LAMP_RAYS = 256  # rays from each lamp
 MOST_LAMPS = 64  # that send them
@@ -38,6 +39,7 @@ MOST_GLOWING = 256  # emitting faces that may be seen without obstruction; of mo
 SURE = 3.0  # what none of n rays has seen is at most SURE / n of what there is, with 95 % confidence
 WELD = 1e-6  # positions closer than this share of the scene's diagonal are the same
 MOST_TESTS = 200_000_000  # of a vertex against a plane; a room of more faces than that allows is not called convex
+MOST_HEIGHTS = 1 << 20  # of a place above a plane, found at a time
 MOST_TRIANGLES = 300_000  # that are sorted into pieces by their corners; in larger scenes each object is a piece
 TASK_RAYS = 1 << 14
 
@@ -195,6 +197,7 @@ class _Look:
         here, there = [2 * thin], [2 * thin + 1]
 
         self.rays, self.escaped, self.met = 0, np.zeros(2, int), 0
+        self._sent = np.zeros(2 * pieces)  # rays that have set out from each node
         self.meets = 0.0  # the most that a face sends on which a ray has met
         suns = [np.asarray(lamp.axes[2], float) for lamp in self.lamps if lamp.kind == "sun"]
         for triangle, number in self._origins(pieces):
@@ -203,6 +206,7 @@ class _Look:
                 position, normal, direction = face_rays(scene, triangle, number, side)
                 hit, back = self._hits(position, normal, direction)
                 met, node = hit >= 0, nodes[side][triangle]
+                self._sent += np.bincount(node, minlength=2 * pieces)
                 here.append(node[met])
                 there.append(_nodes_met(nodes, hit, back))
                 open_to_sky[node[~met]] = True
@@ -226,7 +230,7 @@ class _Look:
         self.sky = _sky(self)
         if self.sky.needed or (scene.world.brightest > 0 and _forced(self.settings, "sky")):
             lit = lit | open_to_sky
-        label = components(here, there, len(lit))
+        self._label = label = components(here, there, len(lit))
         self.island = np.stack([label[2 * self._piece], label[2 * self._piece + 1]], axis=1).astype(np.int32)
         self.lit_islands = np.unique(label[lit])
         # A back side matters if its island has light.
@@ -252,14 +256,24 @@ class _Look:
         chosen = self.usable[np.minimum(np.searchsorted(upper, place, side="right"), len(area) - 1)]
         number, some = np.arange(count), np.zeros(0, np.int64)
         if pieces * EACH <= MOST_RAYS:
-            piece = self._piece[scene.triangle_polygon[self.usable]]
-            order = np.argsort(piece, kind="stable")
-            first = np.searchsorted(piece[order], np.arange(pieces))
-            size = np.diff(np.append(first, len(order)))
-            some = np.concatenate([order[(first + (size * (2 * k + 1)) // (2 * EACH))[size > 0]] for k in range(EACH)])
+            some = self._of_pieces(np.arange(pieces), EACH)
         early = number % EARLY == 0
-        yield np.append(chosen[early], self.usable[some]), np.append(number[early], count + np.arange(len(some)))
+        yield np.append(chosen[early], some), np.append(number[early], count + np.arange(len(some)))
         yield chosen[~early], number[~early]
+        # What few rays have looked at may see the rest all the same.
+        alone = np.flatnonzero(np.bincount(self._label, self._sent) < ALONE)
+        alone = np.unique(np.flatnonzero(np.isin(self._label, np.intersect1d(alone, self.lit_islands))) // 2)
+        if 0 < len(alone) * EACH <= MOST_RAYS:
+            more = self._of_pieces(alone, min(ALONE, MOST_RAYS // len(alone)))
+            yield more, count + len(some) + np.arange(len(more))
+
+    def _of_pieces(self, pieces, each):
+        """Triangles of pieces (K,), so many `each`."""
+        piece = self._piece[self.scene.triangle_polygon[self.usable]]
+        order = np.argsort(piece, kind="stable")
+        first, end = (np.searchsorted(piece[order], pieces, side=side) for side in ("left", "right"))
+        first, size = first[end > first], (end - first)[end > first]
+        return self.usable[order[np.concatenate([first + (size * (2 * k + 1)) // (2 * each) for k in range(each)])]]
 
     def _glowing(self):
         """Emitting triangles (K,) that rays set out from, each as often as its area says, and the rays' numbers (K,)."""
@@ -318,6 +332,17 @@ class _Materials:
             tint.append(max([_tint(s) for s in shades] + [uneven]))
         self.returned = np.minimum(np.nan_to_num(np.array(rows, float)), LARGEST_REFLECTANCE)
         self.thin, self.tint = np.array(thin, bool), np.array(tint, float)
+        for m, own in _read_of(scene):
+            self.returned[m] = min(float(scene.readings.reflectance[own].max()), LARGEST_REFLECTANCE)
+            self.tint[m] = _apart(scene.readings.reflectance[own])
+
+
+def _read_of(scene):
+    """Materials that were read, and of each the rows (K,) of the scene's readings."""
+    if scene.readings is None or not len(scene.readings.triangle):
+        return []
+    material = scene.polygon_material[scene.triangle_polygon[scene.readings.triangle]]
+    return [(m, np.flatnonzero(material == m)) for m in np.unique(material)]
 
 
 def _tint(color):
@@ -329,16 +354,22 @@ def _tint(color):
 
 def _world_tint(world):
     """How far a world is from gray, as a share of its mean."""
-    return _tint(world.radiance) if world.map is None else _apart(world.map.reshape(-1, 3))
+    return _tint(world.radiance) if world.map is None else _apart(world.map)
+
+
+def _apart(colors):
+    """How far colors (..., 3) are from gray at most, as a share of the mean of each, or of all where that is more."""
+    red, green, blue = np.moveaxis(colors, -1, 0)
+    own = (red + green + blue) / 3
+    mean = float(np.einsum("k->", own.reshape(-1).astype(float))) / max(own.size, 1)
+    apart = np.maximum(np.maximum(red, green), blue) - np.minimum(np.minimum(red, green), blue)
+    return float((apart / np.maximum(own, max(mean, 1e-30))).max(initial=0.0))
 
 
 def _texture_range(texture):
     """Darkest and brightest color (3,) of a texture, and how far from gray it is anywhere, as a share of its mean."""
     pixels = texture.pixels
-    apart = np.maximum(np.maximum(pixels[..., 0], pixels[..., 1]), pixels[..., 2])
-    apart = apart - np.minimum(np.minimum(pixels[..., 0], pixels[..., 1]), pixels[..., 2])
-    mean = max(float(np.einsum("hwc->", pixels.astype(float))) / max(pixels.size, 1), 1e-9)
-    return pixels.min(axis=(0, 1)), pixels.max(axis=(0, 1)), float(apart.max()) / mean
+    return pixels.min(axis=(0, 1)), pixels.max(axis=(0, 1)), _apart(pixels)
 
 
 def _two_sided(look):
@@ -356,15 +387,17 @@ def _occlusion(look, two_sided):
     """Whether anything can stand between a source and a face that it could light: nothing can if the faces that are
     turned to sources make up a convex room with the sources in it, or a block on whose outside they lie."""
     scene = look.scene
-    sources = [lamp_outline(lamp) for lamp in look.lamps]
+    outlines = [lamp_outline(lamp) for lamp in look.lamps]
+    places = [outline for outline, direction in outlines if direction is None]
+    distant = [outline for outline in outlines if outline[1] is not None]
     if len(look.emitting):
         corners = np.concatenate([np.arange(*scene.polygon_start[p : p + 2]) for p in look.emitting[:MOST_GLOWING]])
-        sources.append((scene.vertices[np.unique(scene.corner_vertex[corners])], None))
+        places.append(scene.vertices[np.unique(scene.corner_vertex[corners])])
     if look.sky.needed:
         for group in split_sky(scene.world)[1]:
             middle = unit(group.directions.mean(axis=0))
-            sources.append((float(length(group.directions - middle).max()) + group.spread, middle))
-    if not sources:
+            distant.append((float(length(group.directions - middle).max()) + group.spread, middle))
+    if not places and not distant:
         return Effect("occlusion", False, "there is no lamp or emitting face that anything could stand before")
     if len(look.emitting) > MOST_GLOWING:
         return Effect("occlusion", True, f"{len(look.emitting)} emitting faces can shade one another")
@@ -377,17 +410,10 @@ def _occlusion(look, two_sided):
         triangle = np.concatenate([triangle, triangle])
     plane, of_face = _planes(normal, offset)
 
-    # How far the sources reach above each plane, at least and at most.
-    least, most = np.full(len(plane), np.inf), np.full(len(plane), -np.inf)
-    for places, direction in sources:
-        if direction is not None:
-            rise = dot(normal[plane], direction)
-            rises = [rise - places, rise + places]
-        else:
-            rises = (dot(normal[plane], place) - offset[plane] for place in (places - center) * scale)
-        for rise in rises:
-            np.minimum(least, rise, out=least)
-            np.maximum(most, rise, out=most)
+    least, most = _heights(normal[plane], offset[plane], (np.concatenate([np.zeros((0, 3)), *places]) - center) * scale)
+    for reach, direction in distant:
+        rise = dot(normal[plane], direction)
+        least, most = np.minimum(least, rise - reach), np.maximum(most, rise + reach)
     lit = most > WELD
     if not lit.any():
         return Effect("occlusion", False, "no face is turned to a lamp")
@@ -417,6 +443,16 @@ def _planes(normal, offset):
         key |= ((normal[:, axis] + 1.0) * 1e6).round().astype(np.int64)
     way = np.unique(key, return_inverse=True)[1].astype(np.int64).reshape(-1)
     return np.unique((way << 22) + (offset * 1e6).round().astype(np.int64), return_index=True, return_inverse=True)[1:]
+
+
+def _heights(normal, offset, places):
+    """The least and the greatest height (K,) of places (L, 3) above planes (K,)."""
+    least, most = np.full(len(normal), np.inf), np.full(len(normal), -np.inf)
+    step = max(MOST_HEIGHTS // max(len(normal), 1), 1)
+    for k in range(0, len(places), step):
+        height = np.einsum("pd,ld->pl", normal, places[k : k + step]) - offset[:, None]
+        least, most = np.minimum(least, height.min(axis=1)), np.maximum(most, height.max(axis=1))
+    return least, most
 
 
 def _outlier(scene, look, normal, offset, vertices, triangle, sign):
@@ -479,10 +515,10 @@ def _color(look):
     lights = [(f"the lamp {lamp.name}", _tint(lamp.strength)) for lamp in look.lamps]
     lights += [(f"the emission of {scene.materials[m].name}", _tint(scene.materials[m].exitance)) for m in used]
     lights += [("the world", _world_tint(scene.world))] if look.sky.needed else []
-    if scene.readings is not None and len(scene.readings.triangle):
-        read = scene.readings
-        shades.append(("what Cycles read of nodes", _apart(read.reflectance)))
-        lights.append(("the emission that Cycles read of nodes", _apart(read.exitance)))
+    lights += [
+        (f"the emission of {scene.materials[m].name}", _apart(scene.readings.exitance[own]))
+        for m, own in _read_of(scene)
+    ]
     most = min(float(look.materials.returned[used].max(initial=0.0)), LARGEST_REFLECTANCE) if len(used) else 0.0
     gain = 1.0 + most / (1.0 - most)  # a change of all reflectances by a share x changes the light by up to gain x
     shades, lights = sorted(shades, key=lambda s: -s[1]), sorted(lights, key=lambda s: -s[1])
@@ -493,12 +529,6 @@ def _color(look):
         return Effect("color", False, f"all {len(used)} reflectances and {count} lights are gray{almost}: one channel is solved")  # fmt: skip
     name = (shades if worst[0] > worst[1] else lights)[0]
     return Effect("color", True, f"{name[0]} is tinted: its channels differ by {100 * name[1]:.3g} %")
-
-
-def _apart(values):
-    """How far colors (K, 3) are from gray at most, as a share of their mean."""
-    mean = float(np.abs(values).mean()) if len(values) else 0.0
-    return float((values.max(axis=1) - values.min(axis=1)).max()) / mean if mean > 0 else 0.0
 
 
 def _lamps(scene):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .lights import make_sources, unoccluded
+from .lights import BALL, FLAT, make_sources, unoccluded
 from .records import to_arrays
 from .sampling import R4, R5, fraction, hemisphere, scatter, tangents
 from .sky import cells_of, split_sky
@@ -16,7 +16,8 @@ from .vectors import by_coordinate, rows_of
 
 COMMON = 0.5  # of the light of common interiors is reflected: what is taken where nobody looks
 PLACES = 1024  # that are looked at
-MOST_PAIRS = 4096  # of a place and a source, to see how evenly light falls
+EVENNESS = 64  # sources at most that are looked at, to see how evenly light falls,
+PAIRS = 4096  # of one of them and a place
 INSIDE = 0.998  # how far toward its rim rays set out from a face
 FEW = 20.0  # rays that met lit places: of fewer, the light may come from a few spots, and more of it than was seen
 SALT = 29  # of the samples
@@ -70,13 +71,22 @@ def indirect_share(scene, returned, cells, back=False):
 
 def light_contrast(scene):
     """Mean square of what all sources would give faces with nothing in between, over the square of its mean; 1 if there is
-    none. A lamp in the middle of a room has 1 to 3, one close to a wall, or a spot, ten times as much."""
+    none. A lamp in the middle of a room has 1 to 3, one close to a wall, or a spot, ten times as much. Of many sources some
+    are looked at, picked by their strength: light of a few is less even than that of all."""
     sources, _ = make_sources(scene)
-    triangle = _by_area(scene, scene.usable, max(MOST_PAIRS // max(len(sources), 1), 1))
+    reach = np.select([sources.kind == FLAT, sources.kind == BALL], [sources.areas / np.pi, 1.0], scene.diagonal**2)
+    power = sources.strength.mean(axis=1) * reach
+    chosen, weight = np.arange(len(sources)), np.ones(len(sources))
+    if len(sources) > EVENNESS:
+        upto = np.cumsum(power)
+        chosen = np.searchsorted(upto, (np.arange(EVENNESS) + 0.5) / EVENNESS * upto[-1], side="right")
+        chosen, often = np.unique(chosen, return_counts=True)
+        weight[chosen] = often * upto[-1] / EVENNESS / power[chosen]
+    triangle = _by_area(scene, scene.usable, PAIRS // max(len(chosen), 1))
     position, normal, _ = face_rays(scene, triangle, np.arange(len(triangle)), 0)
     light = np.zeros(len(triangle))
-    for s in range(len(sources)):
-        light += sources.strength[s].mean() * unoccluded(sources, s, position, normal)
+    for s in chosen:
+        light += weight[s] * sources.strength[s].mean() * unoccluded(sources, s, position, normal)
     return float((light * light).mean() / light.mean() ** 2) if light.any() else 1.0
 
 

@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from cell_radiosity.core.cells import LocalCells
+from cell_radiosity.core.choices import EVEN
 from cell_radiosity.core.effects import shut_in, survey
 from cell_radiosity.core.lights import make_sources
 from cell_radiosity.core.settings import EFFECTS
+from cell_radiosity.core.share import light_contrast
 from cell_radiosity.core.surfaces import Readings, Texture
 
 from scenes import Lamp, Material, Mesh, Settings, World, bake, box, icosphere, join_meshes, run, sheet
@@ -287,3 +289,53 @@ def test_light_of_a_closed_lamp_is_the_same_without_its_inside(monkeypatch):
     area = baked.points.area * (baked.points.object == 0)
     assert np.sqrt((area * (light - expected) ** 2).sum() / (area * expected**2).sum()) < 0.02
     assert (area * light).sum() == pytest.approx((area * expected).sum(), rel=5e-3)
+
+
+def test_what_was_read_of_nodes_is_what_decides():
+    """A material that Cycles had to read reflects what was read, not what the viewport shows."""
+    scene = room(materials=[Material("read", (0.8, 0.8, 0.8))], readings=glow_read(0.0))
+    assert decided(scene)["interreflection"][1].startswith("read reflects 50 %")
+    tinted = replace(glow_read(0.0), reflectance=np.array([[0.5, 0.5, 0.4]]))
+    assert decided(scene.but(readings=tinted))["color"] == (
+        True,
+        "the material read is tinted: its channels differ by 21.4 %",
+    )
+
+
+def test_a_bright_spot_of_the_sky_is_as_tinted_as_it_is():
+    """Not more, because the sky beside it is dark; and hardly any, where it is dark itself."""
+    pixels = np.full((64, 64, 3), 0.1, np.float32)
+    pixels[32, 32] = (1000.0, 1000.0, 900.0)
+    floor = sheet("floor", [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)])
+    scene = join_meshes([floor], [GRAY], [], World(map=pixels))
+    assert decided(scene)["color"] == (True, "the world is tinted: its channels differ by 10.3 %")
+    pixels[32, 32] = (1e-4, 1e-4, 0.0)
+    assert not decided(scene.but(world=World(map=pixels)))["color"][0]
+
+
+def test_few_rays_from_a_small_thing_do_not_set_it_apart():
+    """A leaf high above a floor, on edge: one in fifteen of its rays meets the floor."""
+    floor = sheet("floor", [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)])
+    leaf = sheet("leaf", [(0.5, 0.5, 1.5), (0.502, 0.5, 1.5), (0.502, 0.5, 1.502), (0.5, 0.5, 1.502)])
+    found = decided(join_meshes([floor, leaf], [GRAY], [], World((1.0, 1.0, 1.0))), side="back")
+    assert "floor, front" in found["islands"][1] or not found["islands"][0]
+    assert "leaf" not in found["islands"][1]
+
+
+def test_many_lamps_are_judged_by_the_strongest():
+    """A thousand faint lamps do not hide that one is close to a wall; and light of as many alike is even."""
+    rng = np.random.default_rng(3)
+    places = rng.uniform(0.3, 0.7, (1000, 3))
+    faint = [Lamp("point", (1e-4,) * 3, tuple(p), radius=0.01) for p in places]
+    near = Lamp("point", (1.0,) * 3, (0.5, 0.5, 0.97), radius=0.001)
+    assert light_contrast(room(lamps=faint)) < 0.5 * EVEN
+    assert light_contrast(room(lamps=[*faint, near])) > EVEN < light_contrast(room(lamps=[near]))
+    assert not decided(room(lamps=faint))["occlusion"][0]
+
+
+@pytest.mark.parametrize("name", ["a lamp above the ceiling", "a lamp wider than the room", "a vertex pushed in"])
+def test_heights_above_planes_are_found_in_parts(name, monkeypatch):
+    scenes = TURNS[name][1:]
+    whole = [decided(scene)["occlusion"] for scene in scenes]
+    monkeypatch.setattr("cell_radiosity.core.effects.MOST_HEIGHTS", 13)
+    assert [decided(scene)["occlusion"] for scene in scenes] == whole
