@@ -207,7 +207,8 @@ def _bake_file(places, arguments, cells, start_seconds):
         image=arguments.image,
     )
     state = state_to_go_on(kept, options) if kept else None
-    job = Job(context, options, cells, start_seconds, state=state)
+    with silent():
+        job = Job(context, options, cells, start_seconds, state=state)
     keep = partial(_keep, kept, Origin(source, arguments.scene, arguments.frame, options)) if kept else None
     try:
         stopped, unkept = _bake_until_stopped(job, arguments.quiet, keep)

@@ -15,7 +15,7 @@ from ..core.settings import SCHEDULES
 from .arguments import add_scene_options, count, make_options, points
 from .cluster import add_cluster_options, cells_for
 from .errors import Usage
-from .files import context_of
+from .files import context_of, silent
 from .job import check_scene, default_cells, wanted_by
 from .plots import check_plot, plot_cells
 from .progress import say
@@ -54,7 +54,8 @@ def run_cells(arguments):
     if arguments.plot:
         check_plot(arguments.plot)
     source = open_scene(arguments, arguments.report, arguments.plot)
-    scene, targets = read_scene(context_of(arguments), wanted_by(arguments.objects))
+    with silent():
+        scene, targets = read_scene(context_of(arguments), wanted_by(arguments.objects))
     options, scene = make_options(arguments), mend(scene)
     check_scene(scene, targets, options)
     settings, own = options.settings(scene), len(make_points(scene))

@@ -10,7 +10,7 @@ from ..core.effects import survey
 from ..core.report import survey_report, write_json
 from .arguments import add_scene_options, make_options
 from .errors import Refused
-from .files import context_of
+from .files import context_of, silent
 from .job import wanted_by
 from .progress import say
 from .read_scene import read_scene
@@ -38,7 +38,8 @@ def run_effects(arguments):
     """Survey a scene."""
     source = open_scene(arguments, arguments.report)
     begun = perf_counter()
-    scene, _ = read_scene(context_of(arguments), wanted_by(arguments.objects))
+    with silent():
+        scene, _ = read_scene(context_of(arguments), wanted_by(arguments.objects))
     if not len(scene.triangles):
         raise Refused("there is no mesh: no visible object with faces")
     read, settings = perf_counter() - begun, make_options(arguments).settings(scene)

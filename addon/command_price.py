@@ -19,7 +19,7 @@ from ..core.report import price_row, write_json
 from .arguments import add_scene_options, count, make_options, percent
 from .cluster import add_cluster_options, cells_for
 from .errors import Refused, told
-from .files import context_of
+from .files import context_of, silent
 from .job import check_scene, wanted_by
 from .plots import check_plot, knob_value, plot_price
 from .progress import Bar, say
@@ -56,7 +56,8 @@ def run_price(arguments):
         check_plot(arguments.plot)
     reference = _open_reference(arguments.reference)
     source = open_scene(arguments, arguments.report, arguments.plot)
-    scene, targets = read_scene(context_of(arguments), wanted_by(arguments.objects))
+    with silent():
+        scene, targets = read_scene(context_of(arguments), wanted_by(arguments.objects))
     options, scene = make_options(arguments), mend(scene)
     check_scene(scene, targets, options)
     settings = options.settings(scene)

@@ -49,7 +49,8 @@ def run_relight(arguments):
         )
     open_file(source)
     context = context_of(origin)
-    job = Job(context, origin.options_for(output), LocalCells(), state=state)
+    with silent():
+        job = Job(context, origin.options_for(output), LocalCells(), state=state)
     try:
         job.relight(factors)
         with silent():

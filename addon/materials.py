@@ -78,11 +78,11 @@ class Graph:
             raise NotConstant("images on two UV maps")
 
 
-def read_material(material, object, ignored):
+def read_material(material, ignored):
     """The core's Material of a Blender material (None: Blender's default, diffuse 0.8), and the Pictures of its color and
     its alpha, or None each; the textures' numbers are left to the caller.
 
-    object: name of an object that uses it, for `ignored`. Raises NotConstant if its graph must be baked to be known.
+    ignored: list that takes what is left out, in words. Raises NotConstant if its graph must be baked to be known.
     """
     if material is None:
         return Material(), None, None
@@ -106,7 +106,7 @@ def read_material(material, object, ignored):
     if surface.gloss.sum() > GLOSS_SHARE * max(usual.sum(), 1e-9):
         share = 100 * surface.gloss.sum() / usual.sum()
         graph.notes.append(f"gloss, {share:.0f} % of what it reflects, is sent on diffusely")
-    ignored.extend((object, f"{material.name}: {note}") for note in graph.notes)
+    ignored.extend(f"{material.name}: {note}" for note in graph.notes)
     read = Material(
         material.name,
         reflectance=tuple(total),
@@ -118,7 +118,7 @@ def read_material(material, object, ignored):
     return read, graph.texture, graph.cut
 
 
-def read_alpha(material, object, ignored):
+def read_alpha(material, ignored):
     """Alpha of a Blender material whose color must be baked to be known: the constant, and the Picture or None."""
     tree = node_tree(material)
     output, graph = tree.get_output_node("CYCLES"), Graph()
@@ -127,7 +127,7 @@ def read_alpha(material, object, ignored):
         return _shown_alpha(output.inputs["Surface"], graph), graph.cut
     except NotConstant as problem:
         if any(map(_may_pass, tree.nodes)):
-            ignored.append((object, f"{material.name}: its alpha varies ({problem}): it is taken as opaque"))
+            ignored.append(f"{material.name}: its alpha varies ({problem}): it is taken as opaque")
         return 1.0, None
 
 

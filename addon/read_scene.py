@@ -31,6 +31,7 @@ from .world_read import read_world
 NOT_WRITTEN = "its light was not written"
 LEFT_OUT = {"CURVES": "hair", "VOLUME": "a volume", "POINTCLOUD": "a point cloud", "GREASEPENCIL": "a drawing"}
 LEFT_OUT["GPENCIL"] = LEFT_OUT["GREASEPENCIL"]  # in older Blenders
+NAMED = 3  # objects by name where more have the same material
 SOLID = {"MESH", "CURVE", "SURFACE", "META", "FONT"}
 
 
@@ -105,7 +106,8 @@ def _reading(context, wanted, shared, spacing, step):
         health=tuple(reader.health + hidden),
     )  # fmt: skip
     readings = _read_others(context, context.evaluated_depsgraph_get(), reader, joined, placed, orders, corner, spacing)
-    return replace(joined, readings=readings, ignored=tuple(dict.fromkeys(reader.ignored))), tuple(targets)
+    ignored = dict.fromkeys([*reader.ignored, *reader.left_out(placed)])
+    return replace(joined, readings=readings, ignored=tuple(ignored)), tuple(targets)
 
 
 def _place(depsgraph, rendered, reader, wanted, lamps, placed, deadline):
@@ -271,6 +273,7 @@ class _Reader:
         self.materials, self.textures, self.ignored, self.health = [], [], [], []
         self.unread = set()
         self._numbers, self._images, self._uv_maps, self._shapes, self._begun = {}, {}, {}, {}, {}
+        self._left_out = {}  # {number of a material: what of it cannot be simulated}
 
     def shape(self, object):
         """The _Shape of an evaluated object that was read; None if it has no polygons. Instances of one mesh share it."""
@@ -364,12 +367,13 @@ class _Reader:
         """Number of a Blender material (or None) among those read."""
         key = material.original.name_full if material else None
         if key not in self._numbers:
-            number = self._numbers[key] = len(self.materials)
+            number, left_out = len(self.materials), []
+            self._numbers[key], self._left_out[number] = number, left_out
             try:
-                read, texture, cut = read_material(material, object, self.ignored)
+                read, texture, cut = read_material(material, left_out)
             except NotConstant:
                 read, texture = viewport_material(material), None
-                alpha, cut = read_alpha(material, object, self.ignored)
+                alpha, cut = read_alpha(material, left_out)
                 read = replace(read, alpha=alpha)
                 self.unread.add(number)
             if texture is not None:
@@ -380,6 +384,19 @@ class _Reader:
                 self._uv_maps[number] = (texture or cut).uv_map
             self.materials.append(read)
         return self._numbers[key]
+
+    def left_out(self, placed):
+        """(objects, reason) of what cannot be simulated of the materials, in words. placed: all _Placed."""
+        users = {number: {} for number, reasons in self._left_out.items() if reasons}
+        numbers = {
+            id(shape): users.keys() & set(shape.polygon_material.tolist()) for shape in self._shapes.values() if shape
+        }
+        for p in placed if users else ():
+            for number in numbers[id(p.shape)]:
+                users[number][p.original.name] = None
+        for number, names in users.items():
+            more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+            yield from ((", ".join([*names][:NAMED]) + more, reason) for reason in self._left_out[number])
 
     def _texture(self, picture, object):
         """Number of a Picture among the textures read. object: name of one that shows it."""

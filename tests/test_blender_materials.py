@@ -96,6 +96,22 @@ def test_metal_and_glass_are_named():
     assert any(o == "pane" and "refraction" in r for o, r in ignored)
 
 
+def test_what_is_left_out_is_named_with_all_objects_that_have_it():
+    """Those that share a mesh too; of many, some."""
+    empty()
+    steel = principled(Metallic=1.0)
+    first = plane("leg 0", material=steel)
+    for k in range(1, 5):
+        bpy.context.scene.collection.objects.link(bpy.data.objects.new(f"leg {k}", first.data))
+    plane("wall", material=diffuse("white", (0.8, 0.8, 0.8)))
+    for more, expected in (([], "leg 0, leg 1, leg 2 and 2 more"), (["leg 1", "leg 2", "leg 3"], "leg 0, leg 4")):
+        for name in more:
+            bpy.data.objects.remove(bpy.data.objects[name])
+        ((named, reason),) = we_say()[2]
+        assert named == expected
+        assert "gloss, 100 %" in reason
+
+
 def mixed(factor):
     """A mix of a red diffuse and an emission shader."""
     made = diffuse("mix", (0.8, 0.1, 0.1))

@@ -123,7 +123,11 @@ def main():
             )
     np.savez_compressed(arguments.output, **arrays)
     noise = [arrays[f"{t.object}.EA"] - arrays[f"{t.object}.EB"] for t in targets if f"{t.object}.EA" in arrays]
-    print("rms difference", np.sqrt(np.mean(np.concatenate(noise) ** 2)), f"{cpu:.0f} CPU s, {wall:.0f} s")
+    print(
+        "rms difference",
+        np.sqrt(np.mean(np.concatenate(noise) ** 2)),
+        "{:.0f} CPU s, {:.0f} s".format(*arrays["seconds"]),
+    )
 
 
 if __name__ == "__main__":
