@@ -32,7 +32,7 @@ LITTLE = 0.125  # of the light: if less than that is reflected, the errors of as
 SURE_RAYS = 64  # with so many, doubts far below the error asked for do not matter
 MOST_CONTROL_RAYS = 1024
 UNSURE = 0.7  # of the square of the noise: a doubt above that asks for more control rays
-UNSURE_ABOVE = 0.15  # the same, where the error asked for seems out of reach of what was gathered
+UNSURE_ABOVE = 0.15  # the same, where it decides whether the error asked for is reached
 STEP = 0.5  # times as many control rays are worth another look
 CONTROL_COST = 6  # gather rays that a control ray costs: those of both truths, each with a test ray and one more
 
@@ -130,9 +130,11 @@ def more_control(found, settings, rays, doubt, wanted):
     # What is cheaper comes first: to gather more, or to know better whether it must be.
     if 0 < wanted < CONTROL_COST:
         return 0
-    # What is known at little cost is known well beside the noise; beyond that, beside what was asked for.
-    least = SMALL * error if rays >= SURE_RAYS else 0.0
-    goal = (UNSURE_ABOVE if wanted or found.total > error else UNSURE) * max(found.noise, least) ** 2
+    # What is known at little cost is known well beside the noise; beyond that, beside what was asked for. A doubt that
+    # could take the error above what was asked for has to be smaller.
+    square = max(found.noise, SMALL * error if rays >= SURE_RAYS else 0.0) ** 2
+    within = 0.0 if wanted else max(error**2 - found.total**2, 0.0)
+    goal = min(max(within, UNSURE_ABOVE * square), UNSURE * square)
     # As many as are needed: doubt falls about as fast as they grow. What is in doubt of single objects is not in it.
     least = 1 if settings.per_object else STEP
     return int(min(max(found.doubt / max(goal, 1e-300) - 1, least), 1) * rays) if found.doubt > goal else 0
