@@ -226,11 +226,12 @@ def _lay_grids(scene, triangle, facet, edge, growth, finer):
     if edge is None or not count:
         return grid
     size, away = _extents(scene)
-    edge = edge * finer[scene.triangle_polygon[triangle[leading]]]
+    finer = finer[scene.triangle_polygon[triangle[leading]]]
+    edge, wide = edge * finer, np.maximum(size, away) * finer
     for chosen, part, owner, lay in _kinds(scene, triangle, facet, leading, size > edge):
         corners = scene.vertices[scene.triangles[triangle[part]]]
         at, span = lay(scene, triangle[part], owner, corners, leading[part])
-        cells = _cells_of(span, np.maximum(size, away)[chosen], edge[chosen], growth)
+        cells = _cells_of(span, wide[chosen], edge[chosen], growth)
         # A sliver thinner than its digits has no frame: what it belongs to stays whole.
         thin = np.bincount(owner, ~(np.abs(_determinant(at)) > THIN)) > 0
         cells[thin] = 1

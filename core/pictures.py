@@ -17,7 +17,7 @@ RAYS = 1 << 14  # in all from each side of such faces, that look for what is nea
 LEAST_RAYS = 4  # and from each triangle
 NEAR = 0.2  # of the rays from a side of a face meet what is near it
 LONGEST = 0.5  # of the distance to what is near, its patches are at most long,
-FINEST = 0.05  # and so many times as long as others at the least
+FINEST = 0.02  # and so many times as long as others at the least
 
 
 def near_pictures(scene, sampled, edge, cells):
