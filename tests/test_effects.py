@@ -53,6 +53,30 @@ def glow_read(light):
     return Readings(np.array([0]), np.full((1, 2), 0.3), color, light * color, np.zeros(0, int), color[:0], color[:0])
 
 
+BLOCK = box("block", (0.4, 0.4, 0), (0.6, 0.6, 0.2), inward=False)
+SPOT, CHECKS = np.full((64, 64, 3), 0.1, np.float32), np.indices((4, 4)).sum(axis=0) % 2 * 0.5 + 0.2
+SPOT[40, 40] = 1e4
+
+
+def glowing_ceiling(n, exitance=(1, 1, 1)):
+    """A room whose ceiling is n x n glowing faces."""
+    return join_meshes([box(n=n, materials={"Z": 1})], [GRAY, Material("glow", exitance=exitance)])
+
+
+def shaded_floor(world):
+    """A floor below a sheet under the open sky."""
+    places = [(0, 0), (1, 0), (1, 1), (0, 1)]
+    sheets = (sheet(str(z), [(x, y, z) for x, y in places]) for z in (0, 0.5))
+    return join_meshes([*sheets], [Material("black", (0, 0, 0))], [], world)
+
+
+def painted(pixels):
+    """A room with an image on its walls."""
+    return room(
+        materials=[Material("image", (0, 0, 0), texture=0)], textures=(Texture("image", pixels.astype(np.float32)),)
+    )
+
+
 # Each leave-out, a scene that has it left out, and one at the edge, where it is needed.
 PUSHED = dict(place=(0.5, 0.5, 0.0), to=(0.5, 0.5, 1e-4))
 TURNS = {
@@ -96,6 +120,31 @@ TURNS = {
     "a wall turned round": (
         "two-sided", room(), join_meshes([box(n=4, faces="xXyYz"), sheet("lid", [(0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)])], [GRAY], [PANEL]),
     ),
+    "a lamp over a block": (
+        "occlusion",
+        join_meshes([box("block", inward=False)], [GRAY], [replace(PANEL, position=(0.5, 0.5, 2.0))]),
+        join_meshes([box("block", inward=False), box("knob", (0.4, 0.4, 1), (0.6, 0.6, 1.1), inward=False)], [GRAY], [replace(PANEL, position=(0.5, 0.5, 2.0))]),
+    ),
+    "a lamp that is lit": (
+        "occlusion", room(BLOCK, lamps=[replace(PANEL, strength=(0, 0, 0))]), room(BLOCK, lamps=[replace(PANEL, strength=(0, 0, 1e-9))]),
+    ),
+    "faces that glow, one more than are looked at": ("occlusion", glowing_ceiling(16), glowing_ceiling(17)),
+    "a bright place in the sky": ("occlusion", shaded_floor(World((1, 1, 1))), shaded_floor(World(map=SPOT))),
+    "a tinted sky": (
+        "color",
+        join_meshes([box(n=4, faces="xXyYz")], [GRAY], [PANEL], World((1, 1, 1))),
+        join_meshes([box(n=4, faces="xXyYz")], [GRAY], [PANEL], World((1, 1, 0.99))),
+    ),
+    "a tinted sky that is not seen": ("color", room(world=World((1, 1, 0.9))), join_meshes([box(n=4, faces="xXyYz")], [GRAY], [PANEL], World((1, 1, 0.9)))),
+    "a tinted glow": ("color", glowing_ceiling(2), glowing_ceiling(2, (1, 1, 0.99))),
+    "a tinted pixel": ("color", painted(np.tile(CHECKS[..., None], 3)), painted(np.tile(CHECKS[..., None], 3) * np.array([1, 1, 0.98]))),
+    "nodes that were read": ("textures", room(), room(readings=glow_read(0.0))),
+    "an image of what is there": (
+        "transparency",
+        room(textures=(Texture("a", np.ones((2, 2, 3), np.float32)),)),
+        room(materials=[replace(GRAY, alpha_texture=0)], textures=(Texture("a", np.full((2, 2, 3), 0.5, np.float32)),)),
+    ),
+    "walls that let light through": ("two-sided", room(), room(materials=[replace(GRAY, translucency=(0.01,) * 3)])),
     "two rooms": (
         "islands",
         join_meshes([box(n=4), box("other", (1, 0, 0), (2, 1, 1), n=4, faces="XyYzZ")], [GRAY], [PANEL]),
@@ -111,6 +160,31 @@ def test_decision_turns_at_its_edge(name):
     with_it = replace(with_it, corner_uv=np.tile(with_it.vertices[with_it.corner_vertex][:, :2], 1))
     assert not decided(without)[effect][0], decided(without)[effect][1]
     assert decided(with_it)[effect][0], decided(with_it)[effect][1]
+
+
+@pytest.mark.parametrize(
+    ("effect", "scene", "turns"),
+    [
+        ("interreflection", room(materials=[Material("black", (0.003,) * 3)]), 0.015),
+        ("color", room(materials=[Material("hue", (0.5, 0.5, 0.505))]), 0.2),
+        ("textures", painted(np.tile(0.5 + 0.01 * CHECKS[..., None], 3)), 0.05),
+        ("sky", room(world=World((1, 1, 1))), 1e-3),
+    ],
+    ids=["reflection", "hue", "image", "sky"],
+)
+def test_decisions_follow_the_error_asked_for(effect, scene, turns):
+    """What is left out at an error is called for at a little less of it."""
+    scene = replace(scene, corner_uv=np.tile(scene.vertices[scene.corner_vertex][:, :2], 1))
+    left_out = [not decided(scene, error=error)[effect][0] for error in (2 * turns, turns / 2)]
+    assert left_out == [True, False], decided(scene, error=turns)[effect][1]
+
+
+def test_backs_that_are_asked_for_see_the_sky():
+    """A closed room is lit by a lamp alone; its outside by the sky, if that is what is written."""
+    scene = room(world=World((1, 1, 1)))
+    assert {side: decided(scene, side=side)["sky"][0] for side in ("front", "back", "lit")} == {
+        "front": False, "back": True, "lit": True,
+    }  # fmt: skip
 
 
 def test_walls_of_separate_sheets_are_one_convex_room():
