@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import json
 import os
+import re
+import shlex
 import signal
+import socket
 import subprocess
 import sys
+import textwrap
 import time
+from pathlib import Path
 
 import dask
 import numpy as np
@@ -294,22 +299,88 @@ import os, sys, time
 from cell_radiosity.cluster.cells import connect
 if __name__ == "__main__":
     cells = connect("local:2")
-    print(*cells._client.run(os.getpid).values(), flush=True)
+    ports = [a.rpartition(":")[2] for a in (cells._started.scheduler_address, *cells._workers)]
+    print(*ports, *cells._client.run(os.getpid).values(), flush=True)
     {end}
 """
 
 
-@pytest.mark.parametrize("end", ["cells.stop()", "time.sleep(60)", "import ctypes; ctypes.string_at(0)"],
-                         ids=["stop", "killed", "crash"])  # fmt: skip
-def test_workers_started_here_end_with_the_host(tmp_path, end):
+def listens(port):
+    with socket.socket() as probe:
+        return probe.connect_ex(("127.0.0.1", port)) == 0
+
+
+@pytest.mark.parametrize(
+    ("end", "number"),
+    [
+        ("cells.stop()", None),
+        ("time.sleep(60)", signal.SIGKILL),
+        ("time.sleep(60)", signal.SIGINT),
+        ("import ctypes; ctypes.string_at(0)", None),
+    ],
+    ids=["stop", "killed", "Ctrl-C", "crash"],
+)
+def test_workers_started_here_end_with_the_host(tmp_path, end, number):
+    """No process of theirs is left, and no port."""
     script = tmp_path / "host.py"
     script.write_text(HOST.format(end=end))
     host = subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
-    pids = [int(word) for word in host.stdout.readline().split()]
+    told = [int(word) for word in host.stdout.readline().split()]
+    ports, pids = told[:3], told[3:]
     assert len(pids) == 2
-    if "sleep" in end:
-        host.kill()
+    if number:
+        assert all(listens(port) for port in ports)
+        host.send_signal(number)
     host.wait()
+    deadline = time.monotonic() + 15
+    while any(alive(pid) for pid in pids) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert not any(alive(pid) for pid in pids)
+    assert not any(listens(port) for port in ports)
+
+
+SBATCH = """#!/bin/sh
+cp "$1" job-$$.sh  # as the real one does: the file is gone soon
+setsid sh job-$$.sh >/dev/null 2>&1 &
+echo "Submitted batch job $!"
+"""
+SCANCEL = """#!/bin/sh
+kill -- -"$1"
+"""
+
+
+def test_a_cluster_of_slurm_jobs(tmp_path, monkeypatch, expected_busy):
+    """The README's lines, where a job is a process of this machine: its script starts workers that bake the same bits."""
+    pytest.importorskip("dask_jobqueue")
+    for name, text in (("sbatch", SBATCH), ("scancel", SCANCEL)):
+        (tmp_path / name).write_text(text)
+        (tmp_path / name).chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
+    monkeypatch.chdir(tmp_path)
+    readme = (Path(__file__).parent.parent / "README.md").read_text()
+    (lines,) = re.findall(r"^    from dask_jobqueue import .*\n(?:    .*\n)+", readme, re.MULTILINE)
+    importing, making, scaling, telling = textwrap.dedent(lines).splitlines()
+    assert telling.startswith("print(cluster.scheduler_address)")
+    named, network = {}, 'interface="lo", scheduler_options={"dashboard_address": None}'
+    exec(f"{importing}\n{making}\n", named)
+    with named["cluster"] as cluster:
+        script = cluster.job_script()
+        address = cluster.scheduler_address
+    # One job takes a machine, and as many workers of one thread as the README says start in it, in this environment.
+    assert {"#SBATCH -n 1", "#SBATCH --cpus-per-task=16"} <= set(script.splitlines())
+    worker = shlex.split(script.splitlines()[-1])
+    assert worker[:4] == [sys.executable, "-m", "distributed.cli.dask_worker", address]
+    options = dict(zip(worker, worker[1:]))
+    assert (options["--nworkers"], options["--nthreads"]) == ("16", "1")
+
+    making = making.replace("16", "1").replace("32GB", "2GB").replace(")", f", {network})")
+    exec(f"{importing}\n{making}\n{scaling.replace('4', '2')}\n", named)
+    with named["cluster"] as cluster, connect(cluster.scheduler_address) as cells:
+        cells._client.wait_for_workers(2, timeout=60)
+        result = run(bake(furnished(12), BUSY, cells))
+        pids = workers(cells).values()
+        assert len(pids) == 2
+    assert same(result, expected_busy)
     deadline = time.monotonic() + 15
     while any(alive(pid) for pid in pids) and time.monotonic() < deadline:
         time.sleep(0.1)
