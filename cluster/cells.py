@@ -75,7 +75,7 @@ class DaskCells(Cells):
         warnings.filterwarnings("ignore", "Sending large graph", UserWarning, "distributed")
         self._client, self._started, self._mixed = client, started, allow_mixed
         self._arrays, self._names = {}, {}
-        self._waiting, self._batches, self._ready, self._done = deque(), {}, deque(), queue.SimpleQueue()
+        self._waiting, self._batches, self._done = deque(), {}, queue.SimpleQueue()
         self._heard, self._avoided, self._seen = {}, set(), set()
         self._task_seconds, self._nobody = None, None
         self._workers = {}

@@ -85,6 +85,7 @@ class Cells:
         self.usage = Usage()
         self._next = 0
         self._kept = {}
+        self._ready = deque()  # results that have come together, and were not asked for yet
 
     def start(self, arrays):
         """Give every cell these arrays, {name: array}, in place of any of the same name."""
@@ -132,6 +133,8 @@ class Cells:
 
     def brought(self, ids):
         """{id: result} of those of some tasks whose results have come and were not taken yet."""
+        self._kept.update(self._ready)
+        self._ready.clear()
         return {number: self._kept[number] for number in ids if number in self._kept}
 
     def __enter__(self):
@@ -218,7 +221,10 @@ class ProcessCells(Cells):
         return self._next - 1
 
     def results(self):
-        while self._waiting or any(cell.tasks.keys() - self._dropped for cell in self._cells):
+        while self._ready or self._waiting or any(cell.tasks.keys() - self._dropped for cell in self._cells):
+            if self._ready:  # to ask many cells whether they have something takes time
+                yield self._ready.popleft()
+                continue
             self._deal()
             if not self._cells:
                 yield from self._run_here()
@@ -229,7 +235,7 @@ class ProcessCells(Cells):
                 if cell.pipe in ready:
                     message = self._receive(cell)
                     if message is not None:
-                        yield message
+                        self._ready.append(message)
                 elif monotonic() - cell.heard > PATIENCE:
                     self._replace(cell)
 
@@ -254,6 +260,7 @@ class ProcessCells(Cells):
 
     def clear(self):
         self._waiting.clear()
+        self._ready.clear()
         self._kept.clear()
         self._dropped.update(number for cell in self._cells for number in cell.tasks)
 

@@ -2,7 +2,8 @@
 replayed beyond.
 
 The replay runs the same schedule code against task times measured on one cell; it is labeled as such everywhere.
-Seconds are those of survey (with the pilot), transport and gather together, with the cells running.
+Seconds are those from the patches to the light: transport, and all that is gathered and estimated, with the cells
+running.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
 from math import log
+from time import perf_counter
 
 import numpy as np
 
@@ -67,15 +69,21 @@ def measured(scene, settings, count, cells=None):
     made = cells or make_cells(count)
     try:
         if settings.schedule == "dynamic":
-            _drive(bake(scene, settings, made), lambda: None)
-        before = []
-        result = _drive(bake(scene, settings, made), lambda: before.append(dict(made.usage.busy)))
-        busy = [seconds - before[0].get(cell, 0.0) for cell, seconds in made.usage.busy.items()]
+            timed(scene, settings, made)
+        result, seconds, busy = timed(scene, settings, made)
     finally:
         if cells is None:
             made.stop()
-    seconds = sum(result.seconds[phase] for phase in ("survey", "transport", "gather"))
     return _run(result, count, "measured", seconds, busy, None)
+
+
+def timed(scene, settings, cells):
+    """A Bake by some cells, its seconds, and those that each process has worked."""
+    before = []
+    result = _drive(bake(scene, settings, cells), lambda: before.append((perf_counter(), dict(cells.usage.busy))))
+    begun, worked = before[-1]
+    busy = [seconds - worked.get(cell, 0.0) for cell, seconds in cells.usage.busy.items()]
+    return result, perf_counter() - begun, busy
 
 
 def replayed(scene, settings, count, times, message, copies=1):

@@ -78,18 +78,22 @@ class TaskTimes:
     """Results and times [s] of tasks, each run once, here, and remembered by what it depends on."""
 
     def __init__(self):
-        self._kernel, self._digests, self._known = Kernel({}), {}, {}
+        self._kernel, self._digests, self._needs, self._known = Kernel({}), {}, {}, {}
 
     def start(self, arrays):
+        """Give the tasks these arrays; returns a short name {name: digest} for what is in each."""
         self._kernel = self._kernel.renewed(arrays)
-        for name, array in arrays.items():
-            self._digests[name] = _digest(array)
+        digests = {name: _digest(array) for name, array in arrays.items()}
+        self._digests.update(digests)
+        self._needs = {}
+        return digests
 
     def run(self, name, arguments):
         """(result, seconds, rays) of a task."""
-        parts = ("scene", "patches", "sources", "gather")[: 4 if name in ("gather", "control") else 3]
-        needs = tuple(d for k, d in sorted(self._digests.items()) if k.split(".")[0] in parts)
-        key = (name, needs, *((k, _digest(v)) for k, v in sorted(arguments.items())))
+        if name not in self._needs:
+            parts = ("scene", "patches", "sources", "gather")[: 4 if name in ("gather", "control") else 3]
+            self._needs[name] = tuple(d for k, d in sorted(self._digests.items()) if k.split(".")[0] in parts)
+        key = (name, self._needs[name], *((k, _digest(v)) for k, v in sorted(arguments.items())))
         if key not in self._known:
             result, spent = run_task(self._kernel, name, arguments)
             self._known[key] = result, spent[0], int(spent[2])
@@ -112,6 +116,7 @@ class ReplayCells(Cells):
         super().__init__()
         self.count, self.times, self.message, self._copies = count, times, message, copies
         self._each, self._left, self._alone = 1, {}, 0
+        self._there = {}  # what the cells have been given, by its digest: the same is not sent twice
         self.busy = np.zeros(count)
         self.lost = dict.fromkeys(CAUSES, 0.0)
         self.clock, self._mark = 0.0, thread_time()
@@ -125,8 +130,9 @@ class ReplayCells(Cells):
 
     def start(self, arrays):
         self._host_worked()
-        self.times.start(arrays)
-        size = _bytes(arrays)
+        digests = self.times.start(arrays)
+        size = _bytes({name: array for name, array in arrays.items() if digests[name] != self._there.get(name)})
+        self._there.update(digests)
         for cell in range(self.count):
             arrives = self.clock + self.message.start_per_byte * size * (cell + 1 if self.message.in_turn else 1)
             self._lose(cell, self.clock)
@@ -201,6 +207,7 @@ class ReplayCells(Cells):
         self._free = [max(free, self.clock) for free in self._free]
         self.busy[:] = 0.0
         self.lost = dict.fromkeys(CAUSES, 0.0)
+        self.lost["messages"] = sum(self._free) - self.count * self.clock  # arrays that are still on their way
         self._opened = self.clock
 
     def close_books(self):
@@ -208,6 +215,7 @@ class ReplayCells(Cells):
         self._host_worked()
         for cell in range(self.count):
             self._lose(cell, self.clock)
+            self.lost["messages"] -= max(self._free[cell] - self.clock, 0.0)  # arrays that have come too late
             self._free[cell] = self.clock
         return self.clock - self._opened
 
@@ -279,29 +287,43 @@ class ReplayCells(Cells):
 
 class SleepingCells(ProcessCells):
     """Real processes that wait as long as a task was measured to take, and answer with as many bytes: real messages and
-    real host work, to check the replay. Every task must have been run by `times` before."""
+    real host work, to check the replay. Every task must have been run by `times` before.
+
+    All bakes must be of the same: in the first one tasks are looked up, which takes the host longer than it should; later
+    ones submit the same tasks in the same order.
+    """
 
     def __init__(self, count, times):
-        super().__init__(count)
         self._times, self._answers = times, {}
+        self._tasks, self._place, self._looked_up = [], 0, False
+        super().__init__(count)
 
     def start(self, arrays):
-        self._times.start(arrays)
+        if not self._looked_up:
+            self._times.start(arrays)
 
     def limit(self, count):
         """They hold nothing."""
 
     def submit(self, name, **arguments):
-        result, seconds, _ = self._times.run(name, arguments)
-        sizes = np.array([np.asarray(a).nbytes // 8 + 1 for a in result.values()])
-        carried = np.zeros(_bytes(arguments) // 8 + 1)
-        number = super().submit("wait", seconds=seconds, sizes=sizes, carried=carried)
+        if not self._looked_up:
+            result, seconds, _ = self._times.run(name, arguments)
+            sizes = np.array([np.asarray(a).nbytes // 8 + 1 for a in result.values()])
+            carried = np.zeros(_bytes(arguments) // 8 + 1)
+            self._tasks.append((result, dict(seconds=seconds, sizes=sizes, carried=carried)))
+        result, asked = self._tasks[self._place]
+        self._place += 1
+        number = super().submit("wait", **asked)
         self._answers[number] = result
         return number
 
-    def results(self):
-        for number, _ in super().results():
-            yield number, self._answers.pop(number)
+    def clear(self):
+        super().clear()
+        self._place, self._looked_up = 0, len(self._tasks) > 0
+
+    def _receive(self, cell):
+        message = super()._receive(cell)
+        return message and (message[0], self._answers.pop(message[0]))
 
 
 def _bytes(arrays):
@@ -312,4 +334,4 @@ def _bytes(arrays):
 def _digest(value):
     """A short name for the content of an array or a number."""
     array = np.ascontiguousarray(value)
-    return blake2b(array.tobytes() + str((array.dtype, array.shape)).encode(), digest_size=12).hexdigest()
+    return blake2b(array.tobytes() + f"{array.dtype.str}{array.shape}".encode(), digest_size=12).hexdigest()

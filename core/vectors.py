@@ -60,6 +60,12 @@ def rows_of(a, ids):
     return np.take(a, ids, axis=0)
 
 
+def span(ids):
+    """Numbers ids (K,) in rising order, as a slice if they are all in a row: what they stand for is found in a tenth of the
+    time."""
+    return slice(ids[0], ids[-1] + 1) if len(ids) and ids[-1] - ids[0] == len(ids) - 1 else ids
+
+
 def unit(a, otherwise=0.0):
     """Vectors divided by their lengths; `otherwise` where the length is 0 or not a number."""
     with np.errstate(invalid="ignore", over="ignore"):

@@ -12,6 +12,7 @@ import subprocess
 import sys
 import textwrap
 import time
+from itertools import pairwise
 from pathlib import Path
 
 import dask
@@ -370,13 +371,13 @@ def test_a_cluster_of_slurm_jobs(tmp_path, monkeypatch, expected_busy):
     assert {"#SBATCH -n 1", "#SBATCH --cpus-per-task=16"} <= set(script.splitlines())
     worker = shlex.split(script.splitlines()[-1])
     assert worker[:4] == [sys.executable, "-m", "distributed.cli.dask_worker", address]
-    options = dict(zip(worker, worker[1:]))
+    options = dict(pairwise(worker))
     assert (options["--nworkers"], options["--nthreads"]) == ("16", "1")
 
     making = making.replace("16", "1").replace("32GB", "2GB").replace(")", f", {network})")
     exec(f"{importing}\n{making}\n{scaling.replace('4', '2')}\n", named)
     with named["cluster"] as cluster, connect(cluster.scheduler_address) as cells:
-        cells._client.wait_for_workers(2, timeout=60)
+        cells._client.wait_for_workers(2, timeout=120)
         result = run(bake(furnished(12), BUSY, cells))
         pids = workers(cells).values()
         assert len(pids) == 2

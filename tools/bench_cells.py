@@ -1,8 +1,9 @@
 """How well cells scale on this machine, and whether the replay tells the truth: `make bench-cells`.
 
-Prints the speed-up of two cells over one (transport and gather together, cells warm; the best of five runs each, taken in
-turn), what the host does meanwhile, and the replay's seconds beside those of real processes that sleep as long as the
-tasks were measured to take. Only a quiet machine gives figures worth telling.
+Prints the speed-up of two cells over one (from the patches to the light, cells warm; the best of five runs each, taken in
+turn) and the host's part in the CPU seconds; how much longer two workers of a Dask cluster take than two cells at 1 %; and
+the replay's seconds beside those of real processes that sleep as long as the tasks were measured to take. Only a quiet
+machine gives figures worth telling.
 """
 
 from __future__ import annotations
@@ -12,36 +13,48 @@ import os
 from dataclasses import replace
 
 import bpy
+import numpy as np
 
 from cell_radiosity.addon.files import silent
 from cell_radiosity.addon.read_scene import read_scene
-from cell_radiosity.core.bake import bake, run
+from cell_radiosity.cluster.cells import connect
 from cell_radiosity.core.cells import make_cells
-from cell_radiosity.core.experiment import replayed
+from cell_radiosity.core.experiment import replayed, timed
 from cell_radiosity.core.replay import SleepingCells, TaskTimes, measure_messages
 from cell_radiosity.core.settings import Settings
 
 HALL = os.path.join(os.path.dirname(os.path.dirname(os.path.abspath(__file__))), "sample_scenes", "hall.blend")
 
 
-def seconds(baked):
-    """Of transport and gather together."""
-    return baked.seconds["transport"] + baked.seconds["gather"]
-
-
 def speed_up(scene, settings, runs):
-    """Prints the seconds of one and two cells."""
+    """Prints the seconds of one and two cells, and the CPU seconds of the host."""
     with make_cells(1) as one, make_cells(2) as two:
         found = {one: [], two: []}
         for cells in found:
-            run(bake(scene, settings, cells))  # warms them up
+            timed(scene, settings, cells)  # warms them up
         for _ in range(runs):
             for cells, times in found.items():
-                baked = run(bake(scene, settings, cells))
-                times.append(seconds(baked))
+                baked, seconds, busy = timed(scene, settings, cells)
+                times.append(seconds)
         best = {cells.count: min(times) for cells, times in found.items()}
-    print(f"{baked.seconds['cpu']:.1f} CPU seconds; best of {runs}: one cell {best[1]:.2f} s, two {best[2]:.2f} s")
-    print(f"speed-up {best[1] / best[2]:.3f}", flush=True)
+    host = baked.seconds["cpu"] - sum(busy)
+    print(f"{baked.seconds['cpu']:.1f} CPU seconds, {host:.2f} of them the host's")
+    print(
+        f"best of {runs}: one cell {best[1]:.2f} s, two {best[2]:.2f} s; speed-up {best[1] / best[2]:.3f}", flush=True
+    )
+
+
+def against_workers(scene, runs):
+    """Prints how much longer two workers of a Dask cluster take than two cells, and whether they find the same bits."""
+    settings, ratios = Settings.for_error(0.01), []
+    with make_cells(2) as cells, connect("local:2") as workers:
+        for made in (cells, workers):
+            timed(scene, settings, made)  # warms them up
+        for _ in range(runs):
+            (own, here, _), (theirs, there, _) = (timed(scene, settings, made) for made in (cells, workers))
+            ratios.append(there / here)
+    same = "the same" if np.array_equal(own.light.total, theirs.light.total) else "OTHER"
+    print(f"two Dask workers over two cells at 1 %: {np.median(ratios):.3f}, median of {runs}; {same} bits", flush=True)
 
 
 def check_replay(scene, settings, counts):
@@ -52,7 +65,7 @@ def check_replay(scene, settings, counts):
             message = measure_messages(one)
         expected = replayed(scene, settings, count, times, message)
         with SleepingCells(count, times) as cells:
-            found = min(seconds(run(bake(scene, settings, cells))) for _ in range(3))
+            found = min([timed(scene, settings, cells)[1] for _ in range(4)][1:])  # the first is to look tasks up
         efficient = sum(expected.busy) / (count * expected.seconds)
         print(
             f"{count:3} cells: replayed {expected.seconds:.2f} s, slept {found:.2f} s, "
@@ -74,6 +87,7 @@ def main():
     scene, _ = read_scene(bpy.context)
     settings = replace(Settings.for_error(arguments.error / 100), gather_rays=arguments.gather_rays)
     speed_up(scene, settings, arguments.runs)
+    against_workers(scene, arguments.runs)
     check_replay(scene, settings, [int(n) for n in arguments.counts.split(",")])
 
 

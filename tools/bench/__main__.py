@@ -48,7 +48,7 @@ def measure_growth(*_):
 
 def measure_tools(*_):
     """What the tools that measure cells and effects print."""
-    asked = {"cells": ["bench_cells.py", "--runs", "3", "--counts", "1,8,64"], "effects": ["effects_table.py"]}
+    asked = {"cells": ["bench_cells.py"], "effects": ["effects_table.py"]}
     return {name: _printed(*command) for name, command in asked.items()}
 
 
