@@ -36,10 +36,10 @@ class Estimate:
     """The error of a bake, as shares of its light (root mean square).
 
     total: of all points but those that lie in a corner, which were moved out of it. interior: without those on a crease
-    or an open edge too. sampling, patches and solve: the parts of the total, whose squares add up to its own. noise:
-    the part of it that more rays take away, the filter's blur with it. shared: the rest, as far as it is certain.
-    doubt: standard error of its square. objects: (O,) error of each object, NaN where it is too dark or was not baked,
-    and object_noise (O,) the noise of it.
+    or an open edge too. sampling, patches and solve: the parts of the total, whose squares add up to its own. Of what
+    is further off of both, noise: the part that more rays take away, the filter's blur with it; shared: the rest, as
+    far as it is certain; doubt: standard error of its square; averaged: what patches average away. objects: (O,) error
+    of each object, NaN where it is too dark or was not baked, and object_noise (O,) the noise of it.
     """
 
     total: float = 0.0
@@ -50,8 +50,15 @@ class Estimate:
     noise: float = 0.0
     shared: float = 0.0
     doubt: float = 0.0
+    averaged: float = 0.0
     objects: np.ndarray = None
     object_noise: np.ndarray = None
+
+    @property
+    def furthest(self):
+        """The error of all points, or of the interior if that is larger: narrow things that get most of the light have
+        hardly a point that is on no edge, and what they are off by says nothing of the rest."""
+        return max(self.total, self.interior)
 
     def worst(self):
         """(object, error) of the object that is furthest off, or None."""
@@ -73,32 +80,32 @@ def estimate_error(points, light, control, free, bound, more=0.0):
     off = mean_product(light.total[:, ids] - control.truth, control.each)
     blurred = points.area * light.blurred
     shared = weight * (off - light.variance[:, ids].sum(axis=0))
+    averaged = weight * mean_product(control.patches, control.each)
 
     def parts(chosen):
-        """Shares of the light's power: noise, what replicates share, and the standard error of that."""
+        """Shares of the light's power: all that it is off by, noise, what replicates share for certain, the standard error
+        of what they share, and what patches average away."""
         whole, mine = max(power[chosen].sum(), 1e-300), shared * chosen[ids]
         spread = len(ids) * (mine * mine).sum() - mine.sum() ** 2
         doubt = np.sqrt(max(spread, 0.0) / max(len(ids) - 1, 1)) / whole
         noise, blur = scatter[chosen].sum() / whole, max(blurred[chosen].sum() / whole, 0.0)
         common = max(mine.sum() / whole - DOUBT * doubt, blur)
         certain = max(mine.sum() / whole - CERTAIN * doubt - blur, 0.0)
-        return noise + common, noise + blur, certain, doubt
+        return noise + common, noise + blur, certain, doubt, max((averaged * chosen[ids]).sum() / whole, 0.0)
 
-    total, noise, certain, doubt = parts(free)
-    within = total
     inside = free & points.smooth
-    if power[inside].sum() > 0:
-        within = parts(inside)[0]
-    averaged = weight * free[ids] * mean_product(control.patches, control.each)
-    averaged = averaged.sum() / max(power[free].sum(), 1e-300)
+    total, noise, _, _, patches = whole = parts(free)
+    within = parts(inside) if power[inside].sum() > 0 else whole
+    furthest = max(whole, within)  # by their totals
     solve = min(bound * bound, total - noise)
-    patches = min(max(averaged, 0.0), total - noise - solve)
+    patches = min(patches, total - noise - solve)
     return Estimate(
         *(
             float(np.sqrt(x))
-            for x in (total, within, max(total - patches - solve, 0.0), patches, solve, noise, certain)
+            for x in (total, within[0], max(total - patches - solve, 0.0), patches, solve, *furthest[1:3])
         ),
-        float(doubt),
+        float(furthest[3]),
+        float(np.sqrt(max(min(furthest[4], furthest[0] - furthest[1]), 0.0))),
         *_of_objects(points, power, scatter, blurred, shared - weight * light.blurred[ids], ids, total - noise),
     )
 
@@ -131,18 +138,23 @@ def _of_objects(points, power, scatter, blurred, shared, ids, common):
 
 
 def rays_wanted(estimate, rays, error):
-    """How many rays another replicate should have to come to an error, 0 if it would be of no use.
-
-    rays: of a point so far. If what replicates share is for certain so much that the error cannot be reached, the noise is
-    made small beside it.
-    """
-    if estimate.total <= ENOUGH * error:
-        return 0
-    goal = max((AIM * error) ** 2 - estimate.shared**2, (SMALL * max(estimate.shared, error)) ** 2)
+    """How many rays another replicate should have to come to an error, 0 if it would be of no use. rays: of a point so
+    far."""
+    goal = noise_wanted(estimate, error)
     if estimate.noise**2 <= goal:
         return 0
     least = max(8, int(WORTH * rays))
     return next((n for n in range(least, MOST_RAYS) if noise_after(estimate.noise, rays, n) <= goal), MOST_RAYS)
+
+
+def noise_wanted(estimate, error):
+    """Square of the noise that an error allows, infinite where it is reached.
+
+    If what replicates share is for certain so much that the error cannot be reached, the noise is made small beside it.
+    """
+    if estimate.furthest <= ENOUGH * error:
+        return np.inf
+    return max((AIM * error) ** 2 - estimate.shared**2, (SMALL * max(estimate.shared, error)) ** 2)
 
 
 def rays_by_object(estimate, rays, error):

@@ -228,8 +228,8 @@ class _Course:
             return False
         # Noise that was left as it is, because what replicates share is more than the error for certain, can still be cured.
         noise = found.noise if found.shared > error else 0.0
-        short = found.total > error and found.shared > 0
-        return short and found.total**2 - found.patches**2 - noise**2 <= error * error
+        short = found.furthest > error and found.shared > 0
+        return short and found.furthest**2 - found.averaged**2 - noise**2 <= error * error
 
     def refine(self):
         """Begin anew, with the same points on finer patches."""
@@ -378,8 +378,8 @@ class _Course:
                 settings=self.settings,
                 survey=self.survey,
                 estimate=self.estimate,
-                patches=len(self.patches),
                 points=len(self.points),
+                patches=len(self.patches),
                 rays=int(self.gathering.rays.max(initial=0)),
                 replicates=len(self.gathering.gathered.replicates),
                 control_rays=control.rays,
@@ -387,6 +387,7 @@ class _Course:
                 seconds=self._seconds(),
                 parts=self.clock.parts(),
                 solve=self.clock.watched,
+                pace=self.clock.pace(),
                 memory_mb=used["host_mb"] + sum(used["cells_mb"]),
             ),
             errors,
@@ -458,7 +459,7 @@ class _Course:
     def _error(self):
         """The error that was asked for: of the whole, or of the object that is furthest off."""
         worst = self.estimate.worst() if self.settings.per_object else None
-        return max(self.estimate.total, worst[1] if worst else 0.0)
+        return max(self.estimate.furthest, worst[1] if worst else 0.0)
 
     @property
     def _timed(self):
@@ -492,7 +493,7 @@ class _Course:
             seconds = self._seconds()
             rays = int(IN_TIME * left * seconds["rays"] / max(seconds["replicates"], 1e-9))
             return min(rays, MOST_RAYS) if rays >= PILOT * self.settings.pilot_rays else 0
-        if self._coarse and self.estimate.patches >= self.settings.error:
+        if self._coarse and self.estimate.averaged >= self.settings.error:
             return 0
         return rays_wanted(self.estimate, so_far, self.settings.error)
 

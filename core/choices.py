@@ -133,7 +133,7 @@ def more_control(found, settings, rays, doubt, wanted):
     # What is known at little cost is known well beside the noise; beyond that, beside what was asked for. A doubt that
     # could take the error above what was asked for has to be smaller.
     square = max(found.noise, SMALL * error if rays >= SURE_RAYS else 0.0) ** 2
-    within = 0.0 if wanted else max(error**2 - found.total**2, 0.0)
+    within = 0.0 if wanted else max(error**2 - found.furthest**2, 0.0)
     goal = min(max(within, UNSURE_ABOVE * square), UNSURE * square)
     # As many as are needed: doubt falls about as fast as they grow. What is in doubt of single objects is not in it.
     least = 1 if settings.per_object else STEP

@@ -56,6 +56,14 @@ class Clock:
         phases = dict.fromkeys(("survey", "patches", "transport", "gather"), 0.0)
         return {**phases, **self._phases, "cpu": cpu, "embree_cpu": used.embree - before.embree}
 
+    def pace(self):
+        """Wall seconds that a CPU second takes, of the host and of the cells, which work side by side."""
+        used, before = self._cells.usage, self._usage
+        cells, count = used.cpu - before.cpu, max(self._cells.count, 1)
+        host = process_time() - self._cpu - (used.here - before.here)
+        pace = self.total() / max(host + cells / count, 1e-9)
+        return pace, pace / count
+
     def cells(self):
         """Number of cells, restarts, and peak memory [MB] of the host and of each cell."""
         memory = {k: v for k, v in self._cells.usage.memory.items() if k != "host"}

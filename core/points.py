@@ -90,7 +90,7 @@ def make_points(scene, flipped=None, cells=None):
     position += _lift(scene, corners, move, point, geometric)
     thin = np.ones(count, bool)
     thin[point[stout]] = False
-    smooth = _smooth(scene, facing)[corners.vertex[first]]
+    smooth = smooth_vertices(scene, facing)[corners.vertex[first]]
     object = scene.polygon_object[corners.polygon[first]]
     corner = corners.corner
     del corners, facing, move, stout, first
@@ -187,7 +187,7 @@ class _Corners:
         self.corner = np.flatnonzero(wanted[polygon]).astype(np.int32)
         self.polygon = polygon[self.corner]
         self.vertex = scene.corner_vertex[self.corner]
-        self.face_normal, self._normal = _face_normals(scene), scene.corner_normal
+        self.face_normal, self._normal = face_normals(scene), scene.corner_normal
         self._flipped = flipped if flipped is not None and flipped.any() else None
         if self._flipped is not None:
             self.face_normal = np.where(flipped[:, None], -self.face_normal, self.face_normal)
@@ -214,7 +214,7 @@ def pairs(points, ids):
     return here, points.neighbor[points.neighbor_start[ids][here] + number]
 
 
-def _face_normals(scene):
+def face_normals(scene):
     """(P,) unit normals of polygons; that of its largest triangle for one that turns against itself, as a bow tie does."""
     normal = scene.polygon_normal
     own, area = scene.triangle_normal_area
@@ -361,8 +361,9 @@ def _lift(scene, corners, move, point, geometric):
     return lift[:, None] * geometric
 
 
-def _smooth(scene, face_normal):
-    """(V,) bool: vertices whose faces bend little, and all of whose edges have a face on either side."""
+def smooth_vertices(scene, face_normal):
+    """(V,) bool: vertices whose faces bend little, and all of whose edges have a face on either side. face_normal: (P, 3)
+    of polygons."""
     count, vertex = len(scene.vertices), scene.corner_vertex
     polygon = np.repeat(np.arange(len(face_normal), dtype=np.int32), np.diff(scene.polygon_start))
     mean = (np.bincount(vertex, np.take(face_normal[:, k], polygon), count) for k in range(3))

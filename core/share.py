@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from .lights import BALL, FLAT, make_sources, unoccluded
+from .points import face_normals, smooth_vertices
 from .records import to_arrays
 from .sampling import R4, R5, fraction, hemisphere, scatter, tangents
 from .sky import cells_of, split_sky
@@ -25,8 +26,9 @@ SALT = 29  # of the samples
 
 def indirect_share(scene, returned, cells, back=False):
     """About how much of its light what is written gets by reflection, 0..1 (root mean square); rather too much where
-    that comes from few spots. returned: (M,) the most that each material sends on. cells: started with the arrays that
-    rays need. back: of the backs of faces.
+    that comes from few spots. The share of what lies on no edge, if that is larger: narrow things, sunlit slats for one,
+    may get most of the light, and what patches miss of the rest would not tell beside it. returned: (M,) the most that
+    each material sends on. cells: started with the arrays that rays need. back: of the backs of faces.
 
     From every place goes a ray, and one more from what it meets; all of them are lit by a source each. A place and the next
     one are near each other in most meshes, so that the product of their light stands for a square, without what chance adds
@@ -61,12 +63,26 @@ def indirect_share(scene, returned, cells, back=False):
         arriving += lit["light"][PLACES:]
     reflected = np.zeros(PLACES)
     reflected[met] = returned[scene.polygon_material[scene.triangle_polygon[there]]] * arriving
-    light = direct + reflected
-    count = np.count_nonzero(reflected)
-    square, part = (max(float((x[1:] * x[:-1]).mean()), 0.0) for x in (light, reflected))
+    inner = _inner(scene)[scene.triangle_polygon[triangle]]
+    return max(_share(direct[part], reflected[part]) for part in (slice(None), inner))
+
+
+def _inner(scene):
+    """(P,) bool: polygons with a vertex that lies on no crease and no open edge."""
+    smooth = smooth_vertices(scene, face_normals(scene))
+    polygon = np.repeat(np.arange(len(scene.polygon_object)), np.diff(scene.polygon_start))
+    return np.bincount(polygon, smooth[scene.corner_vertex], len(scene.polygon_object)) > 0
+
+
+def _share(direct, reflected):
+    """What reflected light (K,) is of all that arrives at K places, one after the other, as if it went on so."""
+    light, count = direct + reflected, np.count_nonzero(reflected)
+    if not count:
+        return 0.0
+    square, part = (max(float((x[1:] * x[:-1]).mean()), 0.0) if len(x) > 1 else 0.0 for x in (light, reflected))
     once = max(np.sqrt(part), float(reflected.mean())) / max(np.sqrt(square), 1e-300)
     often = once / max(1.0 - once, 1e-9)  # what is reflected again is about the same share of that
-    return min(often * (1.0 + FEW / (count + 1.0)), 1.0) if count else 0.0
+    return min(often * (1.0 + FEW / (count + 1.0)), 1.0)
 
 
 def light_contrast(scene):

@@ -13,6 +13,7 @@ from cell_radiosity.core.accuracy import (
     AIM,
     AIM_EACH,
     Estimate,
+    estimate_error,
     mean_product,
     noise_after,
     rays_by_object,
@@ -23,7 +24,7 @@ from cell_radiosity.core.cells import LocalCells
 from cell_radiosity.core.choices import MOST_CONTROL_RAYS, STEP, UNSURE, more_control
 from cell_radiosity.core.control import draw_control
 from cell_radiosity.core.effects import Survey
-from cell_radiosity.core.prices import AGAIN, PATCH_MB, STEADY, Pilot, price_list, replicate_seconds
+from cell_radiosity.core.prices import AGAIN, Pilot, price_list, rays_more, replicate_seconds, transport_prices
 from cell_radiosity.core.replicates import Light
 
 from scenes import Lamp, Material, Settings, bake, box, join_meshes, run, sheet
@@ -109,27 +110,25 @@ def test_price_list_is_the_pilots():
 
 def piloted(error=0.03, patch_edge=None, parts=(), **found):
     """What a pilot may have found out."""
-    usual = dict(scene=None, settings=Settings(patch_edge=patch_edge, error=error), survey=Survey(()), patches=5000,
-                 points=1000, rays=16, replicates=2, control_rays=64, control_rate=0.001, solve=0.0, memory_mb=100.0, parts=dict(parts),
-                 estimate=Estimate(total=error, noise=error))  # fmt: skip
+    usual = dict(scene=None, settings=Settings(patch_edge=patch_edge, error=error), survey=Survey(()), points=1000, patches=100,
+                 rays=16, replicates=2, control_rays=64, control_rate=0.001, solve=0.0, pace=(1.0, 1.0), memory_mb=100.0,
+                 parts=dict(parts), estimate=Estimate(total=error, noise=error))  # fmt: skip
     return Pilot(**{**usual, **found})
 
 
 def test_a_price_is_made_of_what_grows_and_what_does_not(monkeypatch):
-    """Patches and rows by their work; a replicate by what it takes at all and by its rays; nothing for one that there is
-    not."""
+    """Patches and rows as they are foretold; replicates by what they take at all and by their rays; nothing for those that
+    there are not."""
     seconds = {"survey": 4.0, "patches": 0.5, "transport": 1.5, "replicates": 2.0, "rays": 16.0}
     pilot = piloted(seconds=seconds, parts={"gather": 10.0, "sources": 8.0})
-    monkeypatch.setattr(prices, "row_work", lambda pilot, errors: [3.0] * len(errors))
+    monkeypatch.setattr(prices, "transport_prices", lambda pilot, errors: [(3.0, 40.0)] * len(errors))
     enough, less = price_list(pilot, (0.05, 0.01))
     assert (enough.error, enough.rays) == (0.05, 16)
-    rows = (STEADY + 3 * (1 - STEADY)) * 2.0
-    assert enough.seconds == pytest.approx(rows + 4.0)
+    assert enough.seconds == pytest.approx(3.0 + 4.0)
     more = less.rays - 16
-    assert more == int(AGAIN * rays_wanted(pilot.estimate, 16, 0.01))
     fixed, each = replicate_seconds(pilot)
-    assert less.seconds == pytest.approx(rows + 4.0 + fixed + each * more)
-    assert less.memory_mb > enough.memory_mb == pytest.approx(100.0 + 2 * 5000 * PATCH_MB)
+    assert less.seconds == pytest.approx(3.0 + 4.0 + AGAIN * fixed + each * more)
+    assert less.memory_mb > enough.memory_mb == 140.0
     doubtful = replace(pilot, estimate=replace(pilot.estimate, doubt=0.03**2))
     assert price_list(doubtful, (0.01,))[0].seconds > less.seconds + 0.001 * 64
 
@@ -139,6 +138,33 @@ def test_memory_is_foretold_as_it_is_taken():
     (_, fine) = run(price(furnished(), Settings.for_error(0.1), LocalCells(), (0.1, 0.005)))
     taken = run(bake(furnished(), Settings.for_error(0.005), LocalCells()))
     assert fine.memory_mb == pytest.approx(taken.cells["host_mb"], rel=0.3)
+
+
+def test_patches_and_rows_cost_by_what_the_pilot_has_spent_on_them(monkeypatch):
+    """What the pilot took, where nothing changes; else direct light by the places where it is tested, rows by their number
+    and length, in wall seconds of two cells that work side by side; nothing else grows."""
+    own = Settings.for_error(0.02)
+    pilot = piloted(seconds={"patches": 1.0, "transport": 9.0}, parts={"direct": 4.0, "rows": 6.0}, solve=1.0,
+                    pace=(1.0, 0.5), settings=own, scene=furnished(), patches=1000)  # fmt: skip
+    finer = Settings.for_error(0.005)
+    count = {own.patch_edge: 800.0, finer.patch_edge: 4000.0}
+    monkeypatch.setattr(prices, "eased", lambda settings, found: settings)
+    monkeypatch.setattr(prices, "patch_size", lambda scene, settings: (settings.patch_edge, 0.0))
+    monkeypatch.setattr(prices, "count_patches", lambda scene, sizes: [count[edge] for edge, _ in sizes])
+    same, more = transport_prices(pilot, (0.02, 0.005))
+    assert same == pytest.approx((10.0, 0.0))
+    longer = (finer.row_rays / own.row_rays) ** 0.75
+    assert more[0] == pytest.approx(10.0 + 2.0 * 3 + 4.0 * (4 * longer - 1))
+    back = transport_prices(replace(pilot, settings=finer, patches=4400), (0.02,))[0]
+    assert back[0] < same[0]
+    assert back[1] < 0 < more[1]
+
+
+def test_rays_are_foretold_by_their_number():
+    """Noise of three times what is wanted calls for nine times the rays; none where there are enough."""
+    pilot = piloted(error=3 * AIM * 0.01, seconds={})
+    assert 9 * 16 <= 16 + rays_more(pilot, 0.01) <= 9 * 16 + 1
+    assert rays_more(pilot, 0.03) == 0
 
 
 def test_test_rays_are_foretold_once_for_a_replicate_of_many_rays():
@@ -178,6 +204,28 @@ def test_rays_wanted():
     assert noise_after(0.05, 16, n) <= (AIM * 0.01) ** 2 < noise_after(0.05, 16, n - 1)
     assert rays_wanted(Estimate(total=0.008, noise=0.008), 16, 0.01) == 0
     assert rays_wanted(Estimate(total=0.05, noise=0.005, shared=0.05), 16, 0.01) == 0
+
+
+def test_narrow_things_do_not_hide_what_the_rest_is_off_by():
+    """Points on edges get nearly all light and are exact, those inside are off by a tenth: what is seen there steers."""
+    count = 400
+    inside = np.arange(count) % 2 == 0
+    light = np.where(inside, 1.0, 100.0)[None]
+    truth = light / np.where(inside, 1.1, 1.0)
+    points = SimpleNamespace(area=np.ones(count), object=np.zeros(count, int), smooth=inside)
+    none = np.zeros(count)
+    traced = SimpleNamespace(
+        ids=np.arange(count), weight=np.ones(count), truth=np.stack([truth] * 2), patches=np.zeros((2, 1, count)),
+        each=np.array([8, 8]),
+    )  # fmt: skip
+    found = estimate_error(points, Light(light, 0 * light, 0 * light, none, none == 0), traced, none == 0, 0.0)
+    assert found.total < 0.002
+    assert found.interior == pytest.approx(0.1 / 1.1, rel=0.05)
+    assert found.furthest == found.interior
+    assert found.shared == pytest.approx(0.1 / 1.1, rel=0.2)
+    assert found.averaged == found.noise == 0.0
+    noisy = replace(found, noise=found.interior, shared=0.0)
+    assert rays_wanted(noisy, 16, 0.05) == rays_wanted(replace(noisy, total=found.interior), 16, 0.05) > 0
 
 
 def test_products_of_different_truths_have_no_noise_of_their_own():

@@ -66,6 +66,19 @@ def test_it_is_looked_at_what_is_written():
         assert 0.8 <= looked_at(alone) / reflected_share(alone) <= 1.25
 
 
+def test_narrow_things_do_not_outshine_the_rest():
+    """Slats in the sun get nearly all light and reflect little of it to each other; the room beside them has none but what
+    is reflected, and its patches are to be as fine as without them."""
+    slats = [
+        sheet(f"slat {k}", [(0, y, 2), (2, y, 2), (2, y + 0.1, 2), (0, y + 0.1, 2)], 8, 1) for k, y in enumerate((0, 1))
+    ]
+    room = box("room", (0, 0, -2), (2, 2, -1e-3), n=8)
+    lamps = [SUN, Lamp("point", (1e-3,) * 3, (1, 1, -1))]
+    both = join_meshes([room, *slats], [Material("wall", (0.5,) * 3)], lamps)
+    assert looked_at(replace(both, written=np.array((False, True, True)))) < 0.05
+    assert looked_at(both) == pytest.approx(looked_at(replace(both, written=np.array((True, False, False)))), rel=0.1)
+
+
 def test_where_neither_sun_nor_sky_shines_nobody_looks():
     lamp = Lamp("point", (1.0,) * 3, (1.0, 1.0, 0.5))
     assert looked_at(court(lamps=[lamp], world=World())) == COMMON
