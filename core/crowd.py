@@ -19,7 +19,7 @@ import numpy as np
 from .lights import BALL, FLAT, MOST_SOURCES, SHORT
 from .members import LARGE, Members, make_members
 from .sampling import GOLDEN, R2, fraction, scatter
-from .vectors import by_coordinate, counted, length, ratio
+from .vectors import by_coordinate, counted, dot, length, ratio
 
 NEARBY = 0.2  # a flat member that reaches further than this share of the distance is near: its exact factor is taken
 SLIM = 4.0  # square of its reach, as a multiple of its area, from which on a source is much longer than wide
@@ -32,8 +32,10 @@ FLOOR = 0.02  # of a group's power that it is thought to send any way, at least
 SPACING = 0.25  # of members of a group, as a share of its reach: none is thought nearer
 BLOCK = 1 << 16  # pairs of a place and a member, or group, at a time: they stay in the processor's cache
 AT_ONCE = 1 << 20  # pairs that are kept for the picks
-FARTHEST = 1e15  # units: so far away are members at most, or the square of a distance is no number
-SMALLEST = np.float32(1e-15)  # square of a distance in units: its own square is still a number
+FARTHEST = 1e15  # units: so far away are members at most, and so large, or float32 has no squares of that
+SMALLEST = np.float32(1e-15)  # square of a distance in units, at least
+LEAST, MOST = np.float32(1e-37), np.float32(1e37)  # that any member may give: sums of it are still float32
+DOUBT = np.float32(1e-3)  # of an angle: so narrow are beams whose rims float32 does not know
 PICK = 7  # salt of the sample sequences
 # cos, where it is positive, and |cos|, as a + b cos + c cos^2: the best that there is over the sphere.
 ONE_WAY, BOTH_WAYS = (3 / 32, 1 / 2, 15 / 32), (3 / 16, 0.0, 15 / 16)
@@ -41,63 +43,72 @@ ONE_WAY, BOTH_WAYS = (3 / 32, 1 / 2, 15 / 32), (3 / 16, 0.0, 15 / 16)
 
 @dataclass(frozen=True)
 class Crowd:
-    """Members, and a length, unit [m], that lengths are counted in where members are compared: float32 holds no squares of
-    squares of any length."""
+    """Members, and where they are compared: lengths count from `middle` (3,), in units [m] of the scene's, or float32 would
+    not hold them, nor tell places apart."""
 
     members: Members
+    middle: np.ndarray
     unit: float
 
     @cached_property
     def _relative(self):
-        """The power of members (M,), in units of the strongest's, and what that is [W/m^2]: of lamps at a distance of
-        one unit."""
-        power = self.members.power.copy()
-        power[self.members.flats :] /= self.unit * self.unit
-        top = float(power.max())
-        return ratio(power, top), top
+        """What members (M,) give a place that faces them, at a distance of one unit; their strength (M,), of lamps at that
+        distance; both in units of what [W/m^2] the strongest of all gives the middle of the scene, which comes last."""
+        m, strength = self.members, self.members.power.copy()
+        strength[m.flats :] /= self.unit * self.unit
+        given = strength.copy()
+        given[: m.flats] *= m.area / (np.pi * self.unit**2)
+        top = float((given / np.maximum(dot(self._away, self._away), 0.25)).max())
+        return ratio(given, top), ratio(strength, top), top
 
     @cached_property
     def _first(self):
         """First member (G,) of each group, and how many of the groups are flat: those come first."""
         m = self.members
         size = max(GROUP, int(np.sqrt(len(m) / GROWTH)))
-        flat, other = np.arange(0, m.flats, size), np.arange(m.flats, len(m), size)
-        return np.concatenate([flat, other]), len(flat), size
+        # No group has members of both kinds, nor some that are near and some that are far out.
+        kind = np.append(m.remote[: m.flats], m.remote[m.flats :] + m.remote.max() + 1)
+        _, begin, count = np.unique(kind, return_index=True, return_counts=True)
+        run, number = counted(-(-count // size))
+        first = begin[run] + size * number
+        return first, np.searchsorted(first, m.flats), size
 
     @cached_property
     def _table(self):
-        """(G, 12, N) float32 what is to be known of the members of each group: center (3), relative to `_middle`, normal (3),
-        reach, power, cone (2), area or radius, and whether it is two-sided or soft; no power where a group has fewer."""
+        """(G, 12, N) float32 what is to be known of the members of each group: center (3), normal (3), reach, what it gives
+        (see `_relative`), cone (2), area or radius, and whether it is two-sided or soft; a group that has fewer is filled up
+        with members that give nothing."""
         m, (first, _, size) = self.members, self._first
         last = np.append(first[1:], len(m))
         parts = [
-            *self._away.T, *m.normal.T, m.reach / self.unit, self._relative[0], *m.cone.T,
-            np.append(m.area / self.unit**2, m.radius / self.unit), np.append(m.two_sided, m.soft),
+            *self._away.T, *m.normal.T, self._reach, self._relative[0], *m.cone.T,
+            np.append(np.minimum(m.area / self.unit**2, FARTHEST**2), np.minimum(m.radius / self.unit, FARTHEST)),
+            np.append(m.two_sided, m.soft),
         ]  # fmt: skip
         number = first[:, None] + np.arange(size)
         missing = np.array([-1.0 if k in (8, 9) else 0.0 for k in range(len(parts))])[:, None]
         table = np.stack(parts)[:, np.minimum(number, len(m) - 1)].swapaxes(0, 1)
         return np.where((number < last[:, None])[:, None], table, missing).astype(np.float32)
 
-    @cached_property
-    def _middle(self):
-        return self.members.center.mean(axis=0)
-
     @property
     def _away(self):
-        """(M, 3) centers of the members, from the middle of them, in units."""
-        return np.clip((self.members.center - self._middle) / self.unit, -FARTHEST, FARTHEST)
+        """(M, 3) centers of the members."""
+        return np.clip((self.members.center - self.middle) / self.unit, -FARTHEST, FARTHEST)
+
+    @property
+    def _reach(self):
+        """(M,) reaches of the members."""
+        return np.minimum(self.members.reach / self.unit, FARTHEST)
 
     @cached_property
     def _groups(self):
-        """Of groups, float32: center (3, G) of their power, relative to `_middle`, reach (G,) and power (G,); how much they
+        """Of groups, float32: center (3, G) of their power, reach (G,) and power (G,); how much they
         send which way, u: a + b u + u Q u, with a (G,), b (3, G) and Q (6, G), its diagonal and twice the rest; and the
         ends of the box around their members (3, G). And (G,) bool, groups whose members are all turned the same way, of
         which u is clipped at 0, and its sign does not count where they shine to both sides, as the next (G,) bool say; and
         those whose members are narrow."""
         m, (first, *_) = self.members, self._first
-        away, power = self._away, self._relative[0].copy()
-        power[: m.flats] *= m.area / (np.pi * self.unit**2)
+        away, own, power = self._away, self._reach, self._relative[0]
 
         def total(values):
             return np.add.reduceat(values, first)
@@ -106,7 +117,7 @@ class Crowd:
         group = np.repeat(np.arange(len(first)), np.diff(np.append(first, len(m))))
         center = np.stack([ratio(total(power * x), strength) for x in away.T])
         center = np.where(strength > 0, center, away[first].T)
-        reach = np.maximum.reduceat(length(away - center.T[group]) + m.reach / self.unit, first)
+        reach = np.maximum.reduceat(length(away - center.T[group]) + own, first)
         law = np.zeros((len(m), 3))
         law[:, 0] = 1.0
         law[: m.flats] = np.where(m.two_sided[:, None], BOTH_WAYS, ONE_WAY)
@@ -118,8 +129,7 @@ class Crowd:
         a, b, c = power * law.T
         x, y, z = m.normal.T
         quad = [total(c * q) for q in (x * x, y * y, z * z, 2 * x * y, 2 * x * z, 2 * y * z)]
-        low = np.minimum.reduceat(away - m.reach[:, None] / self.unit, first)
-        high = np.maximum.reduceat(away + m.reach[:, None] / self.unit, first)
+        low, high = np.minimum.reduceat(away - own[:, None], first), np.maximum.reduceat(away + own[:, None], first)
         narrow = np.append(m.cone[: m.flats, 0] > 0, m.cone[m.flats :, 0] > -1)
         parts = center, reach, strength, total(a), np.stack([total(b * n) for n in m.normal.T]), quad, low.T, high.T
         parts = (np.ascontiguousarray(p, np.float32) for p in parts)
@@ -130,7 +140,7 @@ class Crowd:
         around = np.zeros((len(position), 1), np.float32)
         if extent is not None:
             around[:, 0] = extent / self.unit
-        return ((position - self._middle) / self.unit).astype(np.float32), normal.astype(np.float32), around
+        return ((position - self.middle) / self.unit).astype(np.float32), normal.astype(np.float32), around
 
     def _far(self, place, alone=False):
         """(K, G) float32 what groups may give places from afar, (K, G) bool, whether they are too near for that, and (K, G)
@@ -142,49 +152,46 @@ class Crowd:
         inside = np.maximum((np.float32(SPACING) * reach) ** 2, SMALLEST)
         for part in _runs(*shape):
             x, n, around = (p[part] for p in place)
-            square = rise = np.float32(0)
             toward = [center[d] - x[:, d, None] for d in range(3)]
-            for d in range(3):
-                rise = toward[d] * n[:, d, None] + rise
-                square = toward[d] * toward[d] + square
+            square = toward[0] * toward[0] + toward[1] * toward[1] + toward[2] * toward[2]
             np.maximum(square, SMALLEST, out=square)
-            distance, wide = np.sqrt(square), reach + around
-            sent = a * square
+            distance = np.sqrt(square)
+            for along in toward:
+                along /= distance
+            # Products of cosines have no end that is beyond float32, those of lengths do.
+            wide = np.minimum((reach + around) / distance, np.float32(1 / PART))
+            rise = toward[0] * n[:, :1] + toward[1] * n[:, 1:2] + toward[2] * n[:, 2:]
+            sent = np.broadcast_to(a, square.shape).copy()
             for q, (i, j) in zip(quad, ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))):
                 if q.any():
                     sent += q * toward[i] * toward[j]
-            behind = np.False_
+            above = rise > -wide
             if b.any():
                 facing = -(b[0] * toward[0] + b[1] * toward[1] + b[2] * toward[2])
                 if alike.any():
-                    behind = alike & ~both & (facing <= -strength * wide)
+                    above &= ~alike | both | (facing > -strength * wide)
                     one = np.where(both, np.abs(facing), np.maximum(facing, np.float32(0)))
                     facing = np.where(alike, one, facing)
-                sent += distance * facing
-            np.maximum(sent, strength * (np.float32(FLOOR) * square + np.float32(PART) * wide * distance), out=sent)
-            above = (rise > -wide) & ~behind
+                sent += facing
+            np.maximum(sent, strength * (np.float32(FLOOR) + np.float32(PART) * wide), out=sent)
             np.maximum(rise, np.float32(PART) * wide, out=rise)
-            rise *= above
+            rise *= sent
             if alone:
                 nearest = np.float32(0)
                 for d in range(3):
                     own = x[:, d, None]
                     gap = np.minimum(np.maximum(own, low[d]), high[d]) - own
                     nearest = gap * gap + nearest
-                distance = np.sqrt(np.maximum(nearest, inside))
-            sent /= square  # of lamps far away, products of more lengths would be beyond float32
-            rise /= distance
-            rise *= sent
-            rise /= square
-            result[part], squares[part] = rise, square
-            near[part] = (wide * wide > np.float32(FAR * FAR) * square) | narrow
+                rise *= distance / np.sqrt(np.maximum(nearest, inside))
+            rise /= np.maximum(square, inside)
+            result[part], squares[part] = _within(rise, above & (strength > 0)), square
+            near[part] = (wide > np.float32(FAR)) | narrow
             near[part] &= above
         return result, near, squares
 
     def _near(self, place, row, group):
-        """(E, N) float32 roughly what the members of groups (E,) may give places row (E,), mean of the channels, in units of
-        what the strongest is (see `_relative`), positive unless it can give nothing; and (E, N) squares of the
-        distances."""
+        """(E, N) float32 roughly what the members of groups (E,) may give places row (E,), mean of the channels (see
+        `_relative`), positive unless it can give nothing; and (E, N) squares of the distances."""
         shape = len(row), self._table.shape[2]
         result, squares = np.empty(shape, np.float32), np.empty(shape, np.float32)
         for part in _runs(*shape):
@@ -217,13 +224,14 @@ class Crowd:
         """Set what near flat members give to what it is, and tell which they are, (E, N) bool. position, normal: (K, 3) of
         the places row (E,)."""
         first, flat_groups, _ = self._first
-        reach, power, edge = (self._table[:, k][group] for k in (6, 7, 8))
+        reach, given, edge = (self._table[:, k][group] for k in (6, 7, 8))
         near = squares < (reach / np.float32(NEARBY)) ** 2
-        near &= (edge <= 0) & (power > 0) & (group < flat_groups)[:, None]
+        near &= (edge <= 0) & (given > 0) & (group < flat_groups)[:, None]
         pair, number = np.nonzero(near)
         if len(pair):
             own, member = row[pair], first[group[pair]] + number
-            likely[pair, number] = self.members.exact(position[own], normal[own], member) * self._relative[0][member]
+            exact = self.members.exact(position[own], normal[own], member) * self._relative[1][member]
+            likely[pair, number] = np.minimum(exact, MOST)
         return near
 
     def _chosen(self, place, given, upto, row, target, exact=None):
@@ -245,7 +253,7 @@ class Crowd:
         member = self._first[0][group] + np.where(density > 0, number, 0)
         if not exact:
             return member, density
-        return member, density, np.where(near[pair, number], ratio(value, self._relative[0][member]), -1.0)
+        return member, density, np.where(near[pair, number], ratio(value, self._relative[1][member]), -1.0)
 
     def slope(self, position, normal, extent):
         """(K,) how much what the members give patches with their centers (K, 3) and extents (K,) [m] changes there,
@@ -261,7 +269,7 @@ class Crowd:
                 reach = self._table[:, 6][group]
                 given[row, group] = _sum(likely / np.sqrt(squares + reach * reach + SMALLEST))
             slope[part] = _sum(given)
-        return slope * (self._relative[1] / self.unit)
+        return slope * (self._relative[2] / self.unit)
 
     def at_points(self, caster, ids, position, normal, geometric, count, seed, occluded=True):
         """(C, K) light that points (K, 3) get [W/m^2], by so many test rays as count(light), (K,) of what they may get,
@@ -275,7 +283,7 @@ class Crowd:
             given = self._sums(place, exact)
             upto = _upto(given)
             total = upto[:, -1]
-            number = np.where(total > 0, count(total * self._relative[1]), 0)
+            number = np.where(total > 0, count(total * self._relative[2]), 0)
             owner, u, x = _spread(number, ids[part], seed)
             member, density, whole = self._chosen(place, given, upto, owner, u, exact)
             own = (exact[0][owner], exact[1][owner])
@@ -374,70 +382,73 @@ def search_rows(upto, row, target):
     return place + 1 - begin
 
 
-def _of_flats(x, n, around, center, axis, reach, power, edge, factor, area, two_sided):
+def _of_flats(x, n, around, center, axis, reach, given, edge, factor, area, two_sided):
     """What flat members may give, (E, N), and squares of the distances."""
-    wide = reach + around
-    square, rise, tilt = _toward(x, n, around, center, axis, wide)
+    square, rise, tilt, above, wide, share = _toward(x, n, around, center, axis, reach)
     height = np.where(two_sided > 0, np.abs(tilt), tilt)
-    rise *= height > -around
-    np.maximum(height, np.float32(PART) * around, out=height)
-    rise *= height
-    rise *= area * power
-    rise /= square * (np.float32(np.pi) * square + area)
-    if (edge > 0).any():
-        distance = np.sqrt(square)
-        rise *= _rough_spread(_over(height, distance), edge, factor, wide / distance)
-    return rise, square
+    above &= (height > -share) & (given > 0)
+    rise *= np.maximum(height, np.float32(PART) * share)
+    rise *= given
+    small = area * np.float32(1 / np.pi)
+    if (edge > 0).any():  # a beam is at most as strong as where it begins
+        begin = np.maximum(small + around * around, SMALLEST)
+        rise *= np.minimum(_rough_spread(height, edge, factor, wide) / (square + small), 1 / begin)
+    else:
+        rise /= square + small
+    return _within(rise, above), square
 
 
-def _of_balls(x, n, around, center, axis, reach, power, edge, blend, radius, soft):
+def _of_balls(x, n, around, center, axis, reach, given, edge, blend, radius, soft):
     """The same of those that are not flat."""
-    wide = reach + around
-    square, rise, tilt = _toward(x, n, around, center, axis, wide)
-    distance = np.sqrt(square)
-    rise *= power
-    rise /= distance * np.where(soft > 0, square + radius * radius, np.maximum(square, radius * radius))
+    square, rise, tilt, above, wide, _ = _toward(x, n, around, center, axis, reach)
+    rise *= given
+    rise /= np.where(soft > 0, square + radius * radius, np.maximum(square, radius * radius))
     if (edge > -1).any():
-        rise *= _rough_cone(tilt / distance, edge, blend, wide / distance)
-    return rise, square
+        rise *= _rough_cone(tilt, edge, blend, wide)
+    return _within(rise, above & (given > 0)), square
 
 
-def _toward(x, n, around, center, axis, wide):
-    """Squares of the distances (E, N) from places to members, at least their extents', how far the members rise above the
-    places, a part of how wide they are at least and 0 below the horizon, and these above the members."""
-    square = rise = tilt = np.float32(0)
-    for d in range(3):
-        toward = center[d] - x[:, d, None]
-        rise = toward * n[:, d, None] + rise
-        tilt = tilt - toward * axis[d]
-        square = toward * toward + square
-    np.maximum(square, around * around, out=square)
+def _toward(x, n, around, center, axis, reach):
+    """Squares of the distances (E, N) from places to members, at least their extents'; cosines there of the ways to them,
+    above the places, a part of how wide they look at least, and above the members; whether they are above the horizon at
+    all; and how wide they look, both ends together, and how wide the places look."""
+    toward = [center[d] - x[:, d, None] for d in range(3)]
+    square = toward[0] * toward[0] + toward[1] * toward[1] + toward[2] * toward[2]
+    np.maximum(square, np.maximum(around * around, SMALLEST), out=square)
+    distance = np.sqrt(square)
+    rise = tilt = np.float32(0)
+    for d, along in enumerate(toward):
+        along /= distance
+        rise = along * n[:, d, None] + rise
+        tilt = tilt - along * axis[d]
+    most = np.float32(1 / PART)
+    wide, around = np.minimum((reach + around) / distance, most), np.minimum(around / distance, most)
     above = rise > -wide
     np.maximum(rise, np.float32(PART) * wide, out=rise)
-    rise *= above
-    return np.maximum(square, SMALLEST), rise, tilt
+    return square, rise, tilt, above, wide, around
 
 
-def _over(a, b):
-    """a / b of float32 arrays, where b is not 0."""
-    return a / np.maximum(b, np.float32(1e-30))
+def _within(given, above):
+    """What may be given, within what float32 can add up: 0 only where there is nothing, `above` false."""
+    np.clip(given, LEAST, MOST, out=given)
+    given *= above
+    return given
 
 
 def _rough_cone(cosine, edge, blend, wide):
     """Share of a spot's light toward the cosine of an angle to its axis, float32; wide: how far that is in doubt."""
     ramp = np.clip((cosine - edge) / np.maximum((1 - edge) * blend, np.float32(1e-6)), 0, 1)
     share = ramp * ramp * (3 - 2 * ramp)
-    share = np.where((wide > 0) & (cosine > edge - wide), np.maximum(share, np.float32(RIM)), share)
+    share = np.where(cosine > edge - wide - DOUBT * DOUBT, np.maximum(share, np.float32(RIM)), share)
     return np.where(edge > -1, share, np.float32(1))
 
 
 def _rough_spread(cosine, edge, factor, wide):
     """The same for a flat lamp of limited spread."""
-    tangent = _over(np.sqrt(np.maximum(1 - cosine * cosine, 0)), cosine)
+    tangent = np.sqrt(np.maximum(1 - cosine * cosine, 0)) / np.maximum(cosine, np.float32(1e-6))
     share = np.maximum(edge - tangent, 0) * factor
     rim = np.float32(RIM) * edge * factor
-    tangent = np.minimum(tangent, np.float32(1e6))
-    turned = tangent - edge < 2 * wide * (1 + tangent * tangent)
+    turned = tangent - edge < 2 * (wide + DOUBT) * (1 + tangent * tangent)
     share = np.where(turned, np.maximum(share, rim), share)
     return np.where(edge > 0, share, np.float32(1))
 
@@ -461,6 +472,9 @@ def any_long(sources):
     return bool((sources.reaches**2 > SLIM * sources.areas)[sources.kind == FLAT].any())
 
 
-def make_crowd(sources, chosen, diagonal):
-    """The Crowd of chosen Sources, (S,) bool; None if there are none. diagonal: of the scene [m]."""
-    return Crowd(make_members(sources, chosen, diagonal), float(diagonal) or 1.0) if chosen.any() else None
+def make_crowd(sources, chosen, middle, diagonal):
+    """The Crowd of chosen Sources, (S,) bool; None if there are none. middle: (3,) of the scene, and its diagonal [m]."""
+    if not chosen.any():
+        return None
+    diagonal = float(diagonal) or 1.0
+    return Crowd(make_members(sources, chosen, middle, diagonal), middle, diagonal)

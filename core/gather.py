@@ -213,7 +213,7 @@ def light_arrays(points, solution, surfaces, sky, side, close):
     """The arrays that cells need to gather at points, as {name: array}. sky: (C, M) exitance of the
     world, of each cell of its map [W/m^2]. side: (P,) the patch side that each point lies on. close: whether near hits of
     fine meshes go on, see `anew`."""
-    light = solution.irradiance[:, side].max(axis=0)
+    light = _on_sides(solution.irradiance, side).max(axis=0)
     # What rays bring, with what comes from beyond last: reflected light, and light no sampled source stands for.
     reflected = np.column_stack([solution.reflected, np.zeros_like(sky)])
     found = np.column_stack([surfaces.found, sky])
@@ -313,13 +313,16 @@ class Shooter:
 
 
 def find_sides(kernel, position, up):
-    """{"side": (K,) int32} the patch sides that places (K, 3), just above surfaces with normals (K, 3), lie on."""
-    hit = kernel.hits(kernel.caster.start(position, up), -up.astype(np.float32))
-    return {"side": hit.side}
+    """{"side": (K,) int32} the patch sides that places (K, 3), just above surfaces with normals (K, 3), lie on, whether light
+    passes them or not; -1 where there is none, as of faces too small for rays."""
+    origin, way = kernel.caster.start(position, up), -up.astype(np.float32)
+    triangle, u, v, _, back = kernel.caster.hits(origin, way, passing=False)
+    side = 2 * kernel.patch_hit(triangle, u, v) + back
+    return {"side": np.where(triangle < 0, -1, side).astype(np.int32)}
 
 
 def sides_of(points, cells):
-    """(P,) int32 the patch side that each point lies on. cells: started with the arrays of transport."""
+    """(P,) int32 the patch side that each point lies on, -1 for none. cells: started with the arrays of transport."""
     parts = [slice(k, k + SIDES) for k in range(0, len(points), SIDES)]
     tasks = [cells.submit("sides", position=points.position[p], up=points.geometric[p]) for p in parts]
     return np.concatenate([np.zeros(0, np.int32), *(result["side"] for result in cells.take(tasks))])
@@ -327,12 +330,17 @@ def sides_of(points, cells):
 
 def patch_light(side, solution):
     """The Light at points as the patch sides (P,) they lie on have it: what there is before anything is gathered."""
-    direct = solution.direct[:, side]
-    indirect = solution.irradiance[:, side]
+    direct = _on_sides(solution.direct, side)
+    indirect = _on_sides(solution.irradiance, side)
     indirect -= direct
     nothing = np.zeros(1)  # for all points
     unknown = np.broadcast_to(nothing, direct.shape)
     return Light(direct, indirect, unknown, unknown[0], np.zeros(len(side), bool))
+
+
+def _on_sides(light, side):
+    """(C, P) light (C, 2 N) of sides (P,), 0 where that is -1."""
+    return np.where(side < 0, 0.0, light[:, side])
 
 
 def weighted_sum(light, weight):
@@ -391,7 +399,9 @@ def _direct(kernel, points, rays, tests, seed):
     # What few tests take for lit whole may be hidden by a hundredth: with more rays, or in the sun of a dim room, that would be
     # most of the error.
     sharp, narrow = (np.array([f(kernel, s) for s in range(len(sources))]) for f in (_sharp, _narrow))
-    bright = np.clip(possible / max(float(kernel.arrays["gather.level"]), 1e-300), 1.0, MOST_TESTS)
+    bright, level = np.full(possible.shape, float(MOST_TESTS)), float(kernel.arrays["gather.level"])
+    np.divide(possible, level, out=bright, where=possible < MOST_TESTS * level)
+    np.maximum(bright, 1.0, out=bright)
     often = np.maximum(first * bright, rays * tests / UNSEEN * np.sqrt(share)).astype(np.int64)
     first = np.where(sharp, first, often)
     weight, seen, tested = np.zeros(factor.shape), np.zeros(factor.shape), thread_time()

@@ -96,14 +96,16 @@ class Kernel:
 
     @cached_property
     def _split(self):
-        every, diagonal = from_arrays(Sources, "sources", self.arrays), 1.0 / self.caster.frame[1]
+        every = from_arrays(Sources, "sources", self.arrays)
+        middle, scale = self.caster.frame
+        diagonal = 1.0 / scale
         chosen, endless = members_of(every, diagonal), every.kind > BALL
         alone = every.only(~chosen) if chosen.any() else every
         pieces = (
             ~endless if chosen.any() or any_long(every) else chosen
         )  # a few that are not long are as well picked whole
         whole = every.only(~pieces) if pieces.any() else every
-        return alone, make_crowd(every, chosen, diagonal), whole, make_crowd(every, pieces, diagonal)
+        return alone, make_crowd(every, chosen, middle, diagonal), whole, make_crowd(every, pieces, middle, diagonal)
 
     @cached_property
     def sky_size(self):

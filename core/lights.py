@@ -43,6 +43,7 @@ NEAR = 0.08  # a patch is near a source if it reaches further than this share of
 SHORT = 1 - 1e-5  # share of the way to a lamp that must be free: one that lies in a surface lights both of its sides
 PLACES = 144  # on a lamp of limited spread that its light is summed over
 FULL_SPREAD = 1.5697  # half angle beyond which a lamp shines in all directions alike [rad]
+LEAST_SPREAD = 1e-3  # half angle of the narrowest beam [rad]
 DISK_PLACES = 32  # on a spot's disk that its cone is averaged over
 CLOSE = 0.3  # a source that fills more than this share of a hemisphere's unit disk is close: its exact factor is taken
 DISK_SIDES = 24  # of the polygon, equal in area, that stands for a disk or ellipse
@@ -128,6 +129,16 @@ def emitting_polygons(scene):
     whole = np.zeros(len(bright), bool)
     whole[scene.triangle_polygon[scene.usable]] = True
     return np.flatnonzero(bright & whole)
+
+
+def folded_polygons(scene):
+    """(P,) bool: polygons that fold over themselves, as a bow tie does, so that some of their triangles are turned. As sources
+    they would shine twice where they lie on themselves; rays find them once."""
+    triangle, folded = np.flatnonzero(scene.usable), np.zeros(len(scene.polygon_material), bool)
+    owner = scene.triangle_polygon[triangle]
+    turned = dot(scene.triangle_normal_area[0][triangle], scene.polygon_normal[owner]) <= 0
+    folded[owner[turned]] = True
+    return folded
 
 
 def lamp_power(lamp):
@@ -456,8 +467,8 @@ def _of_lamp(lamp):
         else:
             outline = 0.5 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
         corners = position + outline[:, :1] * lamp.size[0] * x + outline[:, 1:] * lamp.size[1] * y
-        half = lamp.spread / 2
-        narrow = half < FULL_SPREAD and half > 0
+        narrow = 0 < lamp.spread / 2 < FULL_SPREAD
+        half = max(lamp.spread / 2, LEAST_SPREAD)
         edge = float(np.sin(half) / np.cos(half)) if narrow else -1.0
         cone = (edge, 1.0 / (edge - half)) if narrow else (-1.0, 0.0)
         return _source(FLAT, np.pi * np.asarray(lamp.strength), position, -z, corners=corners, cone=cone)
@@ -540,12 +551,12 @@ def _emitting_flats(scene, shut=None):
     exitance = np.array([m.exitance for m in scene.materials], float).reshape(-1, 3)
     exitance *= np.array([m.alpha for m in scene.materials], float).reshape(-1, 1)
     even = np.array([m.alpha_texture is None for m in scene.materials], bool)
-    glows = ((exitance > 0).any(axis=1) & even)[scene.polygon_material] & ~_read(scene)
+    glows = ((exitance > 0).any(axis=1) & even)[scene.polygon_material] & ~_read(scene) & ~folded_polygons(scene)
     triangle = np.flatnonzero(scene.usable & glows[scene.triangle_polygon])
     owner, size = scene.triangle_polygon[triangle], scene.triangle_normal_area[1][triangle]
     area = np.bincount(owner, size, len(glows))
     emitting, shapes = np.flatnonzero(area > 0), []
-    # A polygon that folds over itself, as a bow tie does, fills less than its triangles' areas say.
+    # A polygon that is out of its plane fills less than its triangles' areas say.
     once = dot(scene.triangle_normal_area[0][triangle], scene.polygon_normal[owner]) * size
     filled = emitting[np.bincount(owner, once, len(glows))[emitting] > 0.999 * area[emitting]]
     if len(filled) <= MOST_MERGED:

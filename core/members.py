@@ -20,6 +20,9 @@ LARGE = 0.03  # of the scene's diagonal: a source that reaches further is cut, o
 MOST_PIECES = 64  # of a larger one
 CLOSE = 0.3  # a flat member that reaches further than this share of the distance is close: its exact factor is taken
 LONG = 2.0  # times as long as wide a piece may be
+REMOTE = (
+    2.0  # diagonals from the middle of the scene: what is farther out is no neighbor of what is there, but twice as far
+)
 
 
 @dataclass(frozen=True)
@@ -31,7 +34,8 @@ class Members:
     shines; reach: (M,) [m]. power: (M,) mean strength of its channels, color: (M, C) in units of that. cone: (M, 2),
     see Sources. Of the flat ones frame: (F, 3, 3) a corner and two edges from there, square: (F,) bool, a
     parallelogram, else a triangle; area: (F,) [m^2]; two_sided: (F,) bool. Of the others radius: (M - F,), soft: (M -
-    F,) bool. effect: that most belong to.
+    F,) bool. remote: (M,) int, 0 in the scene and around it, and more the farther out; of each kind, these come first.
+    effect: that most belong to.
     """
 
     source: np.ndarray
@@ -47,6 +51,7 @@ class Members:
     two_sided: np.ndarray
     radius: np.ndarray
     soft: np.ndarray
+    remote: np.ndarray
     effect: str
 
     def __len__(self):
@@ -158,23 +163,24 @@ class Members:
         return aim, toward, light, None
 
 
-def make_members(sources, chosen, diagonal):
-    """The Members that chosen Sources, (S,) bool, make up. diagonal: of the scene [m]."""
+def make_members(sources, chosen, middle, diagonal):
+    """The Members that chosen Sources, (S,) bool, make up. middle: (3,) of the scene, and its diagonal [m]."""
     flat = np.flatnonzero(chosen & (sources.kind == FLAT))
     ball = np.flatnonzero(chosen & (sources.kind == BALL))
     owner, frame, square = _pieces(sources, flat, LARGE * diagonal)
     p, a, b = np.moveaxis(frame, 1, 0)
-    middle = np.where(square[:, None], p + (a + b) / 2, p + (a + b) / 3)
-    order = morton_order(middle)
-    owner, frame, square, middle, a, b = (x[order] for x in (owner, frame, square, middle, a, b))
-    ball = ball[morton_order(sources.position[ball])]
+    center = np.where(square[:, None], p + (a + b) / 2, p + (a + b) / 3)
+    order, remote = _in_order((center - middle) / diagonal)
+    owner, frame, square, center, a, b = (x[order] for x in (owner, frame, square, center, a, b))
+    order, further = _in_order((sources.position[ball] - middle) / diagonal)
+    ball = ball[order]
     source = np.concatenate([owner, ball])
     half = np.maximum(length(a + b), length(a - b)) / 2
     reach = np.where(square, half, np.maximum(length(a), np.maximum(length(b), length(a - b))) / 1.5)
     power = sources.strength[source].mean(axis=1)
     return Members(
         source=source,
-        center=np.concatenate([middle, sources.position[ball]]),
+        center=np.concatenate([center, sources.position[ball]]),
         normal=sources.direction[source],
         reach=np.concatenate([reach, sources.radius[ball]]),
         power=power,
@@ -186,8 +192,19 @@ def make_members(sources, chosen, diagonal):
         two_sided=sources.two_sided[owner],
         radius=sources.radius[ball],
         soft=sources.soft[ball],
+        remote=np.append(remote, further),
         effect=effect_of(int(np.median(sources.origin[source]))),
     )
+
+
+def _in_order(away):
+    """An order of places (K, 3), in diagonals from the scene's middle, that keeps neighbors together and those farther out
+    apart, and how remote (K,) they are in that order."""
+    order = morton_order(np.clip(away, -REMOTE, REMOTE))
+    square = dot(away, away)[order]
+    remote = np.frexp(np.maximum(square / REMOTE**2, 1.0))[1] // 2
+    outward = np.argsort(remote, kind="stable")
+    return order[outward], remote[outward]
 
 
 def _pieces(sources, flat, longest):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .lights import MOST_FLATS, emitting_polygons, flat_sources, join_sources
+from .lights import MOST_FLATS, emitting_polygons, flat_sources, folded_polygons, join_sources
 from .share import face_rays
 from .surfaces import make_surfaces
 from .vectors import counted
@@ -46,7 +46,7 @@ def near_pictures(scene, sampled, edge, cells):
 def add_pictures(scene, patches, sources, sampled):
     """Sources and the polygons (P,) bool that they stand for, with those of the faces whose light `make_sources` leaves
     out because it is not even, unless these are too many: then rays find them."""
-    uneven = np.setdiff1d(emitting_polygons(scene), np.flatnonzero(sampled))
+    uneven = np.setdiff1d(emitting_polygons(scene), np.flatnonzero(sampled | folded_polygons(scene)))
     own = np.isin(patches.polygon, uneven)
     if not own.any():
         return sources, sampled

@@ -133,7 +133,8 @@ def _lambert(start, end, normal):
     In the polygon's own plane the sum jumps from one side's to the other's, up to 1: a hemisphere that is tilted by a bit
     would see a face that the element lies on. Nothing of it is seen.
     """
-    turn = [start[i] * end[j] - start[j] * end[i] for i, j in ((1, 2), (2, 0), (0, 1))]
+    edge = [b - a for a, b in zip(start, end)]  # of small polygons far away, products of two rays hold no digit of it
+    turn = [start[i] * edge[j] - start[j] * edge[i] for i, j in ((1, 2), (2, 0), (0, 1))]
     sine = np.sqrt(_dot(turn, turn))
     gamma = angle(sine, _dot(start, end))
     gamma *= _dot(turn, normal)

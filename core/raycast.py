@@ -72,17 +72,18 @@ class RayCaster:
             result[..., k] = along + offset * normals[..., k] if offset else along
         return result
 
-    def hits(self, origins, directions):
+    def hits(self, origins, directions, passing=True):
         """The first hit of each of K rays. origins: (K, 3) float32 from `start`; directions: (K, 3) float32.
 
         Returns triangle (K,) int32, -1 where the ray escaped; u, v (K,) float32 place in the triangle; distance (K,)
-        float32 in scene diagonals; back (K,) bool, the ray met the triangle's back side.
+        float32 in scene diagonals; back (K,) bool, the ray met the triangle's back side. passing: rays may pass
+        surfaces that are there in part.
         """
         if self._empty:
             none = np.zeros(len(origins), np.float32)
             return np.full(len(origins), -1, np.int32), none, none, none, np.zeros(len(origins), bool)
         found = self._first(origins, directions)
-        if self._alpha is not None:
+        if self._alpha is not None and passing:
             begun = thread_time()
             for going, more in self._further(origins, directions, found):
                 for values, new in zip(found, more):

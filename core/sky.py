@@ -70,6 +70,8 @@ def split_sky(world):
     if world.map is None:
         return np.array([world.radiance], float), []
     pixels = np.maximum(np.nan_to_num(np.asarray(world.map, float)), 0.0)
+    for axis in range(2):  # no cell of the map that escaping rays read is empty
+        pixels = np.repeat(pixels, -(-CELLS // max(len(world.map), 1)), axis=axis)
     size = len(pixels)
     pixels = pixels.reshape(-1, 3)
     angle = solid_angles(size)

@@ -102,7 +102,9 @@ def _steep_patches(scene, sources, edge, growth, longest):
     patches = make_patches(scene, edge, growth)
     if np.any(longest < 1.0):
         patches = _finer_patches(scene, edge, growth, longest, patches)
-    crowd = make_crowd(sources, sources.kind <= BALL, scene.diagonal) if sources is not None else None
+    crowd = None
+    if sources is not None:
+        crowd = make_crowd(sources, sources.kind <= BALL, np.mean(scene.bounds, axis=0), scene.diagonal)
     if (
         edge is None
         or crowd is None

@@ -9,7 +9,9 @@ import pytest
 
 from cell_radiosity.core.cells import LocalCells
 from cell_radiosity.core.effects import survey
-from cell_radiosity.core.kernel import Kernel, cast_arrays
+from cell_radiosity.core.gather import sides_of
+from cell_radiosity.core.kernel import Kernel, cast_arrays, scene_arrays
+from cell_radiosity.core.lights import make_sources
 from cell_radiosity.core.surfaces import Texture
 
 from scenes import Lamp, Material, Settings, World, bake, box, join_meshes, point_light, run, sheet, solve_scene
@@ -146,3 +148,33 @@ def test_survey_says_what_rays_pass():
     assert found["two-sided"].needed or not scene.lamps
     opaque = replace(scene, materials=(Material(), Material("lace", alpha=1.0)))
     assert not {e.name: e for e in survey(opaque).effects}["transparency"].needed
+
+
+@pytest.mark.parametrize("alpha", [0.0, 0.3, 1.0])
+def test_points_lie_on_their_own_surface_whether_light_passes_it_or_not(alpha):
+    """Under a sky of many cells: a ray down to find what a point lies on stops there."""
+    scene = join_meshes(
+        [sheet("floor", FLOOR), sheet("veil", at_height(0.3), material=1)],
+        [Material(), Material("veil", alpha=alpha)],
+        [SUN],
+        World(map=np.full((32, 32, 3), 0.2)),
+    )
+    result = baked(scene, gather_rays=16)
+    cells = LocalCells()
+    cells.start(scene_arrays(result.scene, result.patches, make_sources(scene)[0], sky=1024))
+    side = sides_of(result.points, cells)
+    own = result.scene.polygon_object[result.patches.polygon[side >> 1]]
+    np.testing.assert_array_equal(own, result.points.object)
+    assert (side >= 0).all()
+    assert not (side & 1).any()
+
+
+def test_faces_that_no_ray_finds_have_no_side():
+    """A speck beside a floor of a million times its size lies on nothing that rays know, and is baked all the same."""
+    speck = box("speck", (0.5, 0.5, 1e3), (0.5 + 1e-6, 0.5 + 1e-6, 1e3 + 1e-6), inward=False)
+    scene = join_meshes(
+        [sheet("floor", 1e6 * np.array(FLOOR, float)), speck], lamps=[SUN], world=World(map=np.full((32, 32, 3), 0.2))
+    )
+    light = baked(scene, gather_rays=16).light
+    assert np.isfinite(light.direct).all()
+    assert np.isfinite(light.indirect).all()

@@ -249,3 +249,18 @@ def test_irradiance_of_a_spot(rng, blend):
     _, seen = rays_toward(spot, 0, nothing, where, up, up, nothing.start(where, up), *to)
     mean = from_one_test(spot, 0, where, up, seen, to[0]).reshape(count, -1).mean(axis=1)
     np.testing.assert_allclose(mean, expected, atol=1e-3 * expected.max())
+
+
+@pytest.mark.parametrize("away", [1e3, 1e5, 1e7, 1e9])
+def test_small_polygon_far_away(away, rng):
+    """What an element sees of a square that is so much smaller than it is far: A cos cos' / (pi r^2), to the digits that its
+    corners' places still have."""
+    way = rng.normal(size=(200, 3))
+    way /= np.sqrt((way * way).sum(axis=1))[:, None]
+    normal = np.roll(way, 1, axis=0) + 2 * way
+    normal /= np.sqrt((normal * normal).sum(axis=1))[:, None]
+    square = SQUARE - (0.5, 0.5, 0)
+    found = polygon_factor(-way * away, normal, square)
+    expected = (way * normal).sum(axis=1) * np.abs(way[:, 2]) / (np.pi * away**2)
+    clear = np.abs(way[:, 2]) > 0.1
+    np.testing.assert_allclose(found[clear], expected[clear], rtol=1e-6 + 1e-14 * away)

@@ -153,3 +153,16 @@ def test_rows_take_a_map(rows):
     scene = join_meshes([sheet("floor", FLOOR, 2, 2)], [GRAY], world=sky_map(lambda d: np.full(len(d), 0.5)))
     solved = solve_scene(scene, LocalCells(), edge=0.3, rows=rows)
     np.testing.assert_allclose(solved.mean(solved.solution.irradiance), 0.5 * np.pi, rtol=1e-6)
+
+
+@pytest.mark.parametrize("size", [1, 3, 8])
+def test_coarse_maps_are_as_fine_ones(size, rng):
+    """A map of fewer cells than rays read: none of these is empty, and no light is lost."""
+    coarse = World(map=rng.uniform(0.5, 1.5, (size, size, 3)))
+    cells, groups = split_sky(coarse)
+    assert np.isfinite(cells).all()
+    assert not groups
+    middle = cells_of(cell_directions(32), size)
+    inside = middle == cells_of(cell_directions(32, 0.1, 0.1), size)
+    inside &= middle == cells_of(cell_directions(32, 0.9, 0.9), size)
+    np.testing.assert_allclose(cells[inside], coarse.map.reshape(-1, 3)[middle][inside], rtol=1e-12)

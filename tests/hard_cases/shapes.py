@@ -140,7 +140,7 @@ def concave_polygons(bake):
     return off(total(bake(furnace([shaped]))), FURNACE)
 
 
-@case(within=0.1)
+@case(within=0.02, gather_rays=2048)
 def polygons_that_cross_or_touch_themselves(bake):
     """A bow tie and a polygon that runs through one vertex twice, in a furnace: H = E / (1 - rho) on all of them."""
     tie = Mesh.of_polygons("tie", [(0.2, 0.2, 0.4), (0.8, 0.8, 0.4), (0.8, 0.2, 0.4), (0.2, 0.8, 0.4)], [(0, 1, 2, 3)])
@@ -287,7 +287,7 @@ def t_junctions(bake):
     return off(total(bake(furnace(faces))), FURNACE)
 
 
-@case(within=0.1)
+@case(within=0.02, gather_rays=2048)
 def edges_with_many_faces(bake):
     """Five sheets that share one edge in a furnace: H = E / (1 - rho) on both sides of each."""
     turn = 2 * np.pi * np.arange(5) / 5
@@ -301,7 +301,7 @@ def edges_with_many_faces(bake):
     return max(off(total(bake(scene, side=side)), FURNACE) for side in ("front", "lit"))
 
 
-@case(within=0.05)
+@case(within=0.03, light_samples=4.0)
 def flipped_normals(bake):
     """A furnace with every second face turned round: H = E / (1 - rho) on the sides that are lit more."""
     mesh = box("room", n=3)
