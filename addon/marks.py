@@ -15,6 +15,11 @@ def is_made(thing):
     return bool(thing.get(KEY, False))
 
 
+def shown_for(material):
+    """The material for which one that a bake made shows light; None for none."""
+    return material.get(f"{KEY}_of")
+
+
 def mark_layers(mesh, names):
     """Note on a mesh which of its attributes bakes have written."""
     mesh[KEY] = "\n".join(sorted(set(names) | made_layers(mesh)))
@@ -40,6 +45,13 @@ def own_object(scene, name):
     return next((o for o in scene.objects if o.name == name and o.library is None), None)
 
 
+def stand_ins(scene):
+    """The copies in a scene that hold the results of other objects of it. A copy whose original is gone, or goes by another
+    name, or that is linked from another file, is none: it is an object like any other."""
+    names = {o.name for o in scene.objects if not o.library}
+    return [o for o in scene.objects if is_made(o) and not o.library and o.get(f"{KEY}_of") in names]
+
+
 def hide(scene, names, hidden):
     """Hide objects of a scene in renders and views, or show them."""
     for name in names:
@@ -51,7 +63,7 @@ def hide(scene, names, hidden):
 @contextlib.contextmanager
 def originals_shown(scene):
     """While a scene is read, show the objects that are hidden because a copy holds their result."""
-    names = {o.get(f"{KEY}_of") for o in scene.objects if is_made(o)}
+    names = {o[f"{KEY}_of"] for o in stand_ins(scene)}
     hidden = [o.name for o in scene.objects if o.name in names and o.library is None]
     try:
         hide(scene, hidden, False)

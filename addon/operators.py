@@ -16,7 +16,7 @@ from . import material_setup
 from .errors import Refused
 from .export import KINDS, export_scene
 from .job import Job
-from .marks import is_made, made_layers, unmark_layers
+from .marks import made_layers, stand_ins, unmark_layers
 from .preferences import preference
 from .preflight import price_key
 from .running import Running, percent, phase_text
@@ -480,7 +480,7 @@ class RADIOSITY_OT_clear(_OfResult, bpy.types.Operator):
     @writing
     def execute(self, context):
         material_setup.take_out(material_setup.with_set_up())
-        remove_copies(context.scene, [o for o in context.scene.objects if is_made(o)])
+        remove_copies(context.scene, stand_ins(context.scene))
         for mesh in baked_meshes(context.scene):
             for name in made_layers(mesh):
                 attribute = mesh.color_attributes.get(name)

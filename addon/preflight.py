@@ -10,7 +10,7 @@ import bpy
 
 from ..core.health import Finding
 from .job import NOTHING, Options, default_cells, wanted_by
-from .marks import is_made, made_layers
+from .marks import made_layers, stand_ins
 from .outputs import make_output
 from .preferences import preference
 from .read_scene import SOLID, rendered_objects
@@ -61,7 +61,7 @@ def price_key(context, options):
 def _look(context, options):
     # While a panel is drawn nothing may be evaluated: what the view layer has is taken.
     scene, depsgraph = context.scene, context.view_layer.depsgraph or context.evaluated_depsgraph_get()
-    rendered, copies_of = rendered_objects(scene), result_copies(scene)
+    rendered, copies, copies_of = rendered_objects(scene), set(stand_ins(scene)), result_copies(scene)
     users = Counter(o.data for o in scene.objects if o.type == "MESH")
     wanted = wanted_by(options.objects)
     findings, objects, own, corners, light, shapes, names = [], 0, [], 0, _world_shines(scene), 0, []
@@ -70,7 +70,7 @@ def _look(context, options):
         findings.append(Finding(object.name, finding, action))
 
     for object in scene.objects:
-        if object.type not in SOLID | LIGHTS or is_made(object) or (object.is_instancer and object.type not in SOLID):
+        if object.type not in SOLID | LIGHTS or object in copies or (object.is_instancer and object.type not in SOLID):
             continue
         copy = copies_of.get(object.name) if object.hide_render and not object.library else None
         if copy is None:
@@ -120,13 +120,13 @@ def _look(context, options):
         )
     elif not light:
         problem = "Nothing gives light: add a lamp, an emitting material or a world color"
-    copies = make_output(options).copies(own)
-    if copies.bytes > options.budget:
-        gigabytes = f"{copies.bytes / 1e9:.1f} GB, more than the {options.budget / 1e9:.1f} GB that may be used"
+    needed = make_output(options).copies(own)
+    if needed.bytes > options.budget:
+        gigabytes = f"{needed.bytes / 1e9:.1f} GB, more than the {options.budget / 1e9:.1f} GB that may be used"
         problem = (
-            f"{copies.count} copies of shared meshes take {gigabytes}: write to fewer objects, or skip shared meshes"
+            f"{needed.count} copies of shared meshes take {gigabytes}: write to fewer objects, or skip shared meshes"
         )
-    return Preflight(objects, corners, copies, tuple(findings), problem, tuple(names))
+    return Preflight(objects, corners, needed, tuple(findings), problem, tuple(names))
 
 
 def _world_shines(scene):

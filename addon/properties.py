@@ -19,7 +19,7 @@ from bpy.props import (
 from ..core.layers import LAYERS
 from ..core.settings import EFFECTS, PRESETS
 from .job import NOTHING, Options
-from .marks import KEY
+from .marks import KEY, stand_ins
 from .preferences import PRESET_ITEMS, preference
 from .preflight import price_key
 from .relight import relight
@@ -449,8 +449,9 @@ class RADIOSITY_PG_settings(bpy.types.PropertyGroup):
 
     def options(self, context):
         """The Options of a bake with these settings."""
-        # A copy that holds the result of an object stands for it.
-        names = {glob.escape(o.get(f"{KEY}_of", o.name)) for o in context.selected_objects if o.type == "MESH"}
+        selected = [o for o in context.selected_objects if o.type == "MESH"] if self.selected else []
+        copies = set(stand_ins(context.scene)) if selected else ()
+        names = {glob.escape(o[f"{KEY}_of"] if o in copies else o.name) for o in selected}
         return Options(
             error=self.error / 100 if self.preset == "error" else PRESETS.get(self.preset, PRESETS["good"]),
             per_object=self.per_object,

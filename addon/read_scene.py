@@ -22,7 +22,7 @@ from ..core.scene import Mesh, join_meshes
 from ..core.surfaces import Texture
 from .cycles_read import CannotRead, Unread, read_with_cycles
 from .lamps import read_lamp, read_visibility
-from .marks import is_made, originals_shown
+from .marks import is_made, originals_shown, shown_for, stand_ins
 from .material_setup import passed_by
 from .materials import NotConstant, read_alpha, read_material, read_pixels, viewport_material
 from .steps import aside, in_steps
@@ -76,11 +76,11 @@ def reading_scene(context, wanted=None, shared="copy", spacing=1 / 200, step=inf
 def _reading(context, wanted, shared, spacing, step):
     depsgraph = context.evaluated_depsgraph_get()
     scene = depsgraph.scene
-    rendered = rendered_objects(scene)
+    rendered, copies = rendered_objects(scene), {o.session_uid for o in stand_ins(scene)}
     reader = _Reader()
     lamps, placed = [], []
     # Blender's list of instances does not outlive a step: it is walked anew, past the shapes that are known by then.
-    while not _place(depsgraph, rendered, reader, wanted, lamps, placed, perf_counter() + step):
+    while not _place(depsgraph, rendered, copies, reader, wanted, lamps, placed, perf_counter() + step):
         yield
         depsgraph = context.evaluated_depsgraph_get()
     scene = depsgraph.scene
@@ -110,7 +110,7 @@ def _reading(context, wanted, shared, spacing, step):
     return replace(joined, readings=readings, ignored=tuple(ignored)), tuple(targets)
 
 
-def _place(depsgraph, rendered, reader, wanted, lamps, placed, deadline):
+def _place(depsgraph, rendered, copies, reader, wanted, lamps, placed, deadline):
     """Fill `lamps` and `placed` with all that takes part; False if after the deadline there are shapes left to read."""
     lamps.clear()
     placed.clear()
@@ -119,7 +119,12 @@ def _place(depsgraph, rendered, reader, wanted, lamps, placed, deadline):
         object = instance.object
         original = object.original
         source = instance.parent.original if instance.is_instance and instance.parent else original
-        if original.hide_render or source.session_uid not in rendered or is_made(original) or not instance.show_self:
+        if (
+            original.hide_render
+            or source.session_uid not in rendered
+            or original.session_uid in copies
+            or not instance.show_self
+        ):
             continue
         if object.type in LEFT_OUT:
             reader.ignored.append((original.name, f"it is {LEFT_OUT[object.type]}: it is left out"))
@@ -417,8 +422,9 @@ def _shape_key(object):
 
 
 def _slots(object):
-    """The materials of an evaluated object by slot; a slot may hold None, or one made to show a bake, which is none."""
-    return [None if s.material is None or is_made(s.material) else s.material for s in object.material_slots]
+    """The materials of an evaluated object by slot, which may be None; those for which ones that a bake made show light."""
+    materials = [slot.material for slot in object.material_slots]
+    return [shown_for(m) if m is not None and is_made(m) else m for m in materials]
 
 
 def _values(data, name, count, dtype=np.float32):
@@ -470,12 +476,13 @@ def rendered_objects(scene):
 
 def _hidden(scene, depsgraph, rendered):
     """Findings about meshes and lamps that would be rendered, but that the view layer hides."""
+    copies = {o.session_uid for o in stand_ins(scene)}
     seen = {i.object.original.session_uid for i in depsgraph.object_instances}
     return [
         Finding(o.name, "it is hidden in the viewport", "it was left out of the bake, as if it were not there")
         for o in scene.objects
         if o.type in SOLID | {"LIGHT"} and o.session_uid in rendered and o.session_uid not in seen and not o.hide_render
-        and not is_made(o) and not o.is_instancer
+        and o.session_uid not in copies and not o.is_instancer
     ]  # fmt: skip
 
 

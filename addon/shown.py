@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from .images import scale_of
-from .marks import KEY, mark
+from .marks import KEY, is_made, mark, shown_for
 
 
 def show(object, source, shader="emission"):
@@ -43,9 +43,13 @@ def forget_others(images):
 
 def _shown(material, source, shader):
     """A copy of a material (None: a new one) that shows a source of light."""
+    if material and is_made(material):
+        material = shown_for(material)
     copy = material.copy() if material else bpy.data.materials.new("radiosity")
     copy.name = f"{material.name if material else 'default'}_radiosity"
     mark(copy)
+    if material and shader == "emission":
+        copy[f"{KEY}_of"] = material
     if bpy.app.version < (5, 0, 0):
         copy.use_nodes = True
     tree = copy.node_tree

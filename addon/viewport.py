@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..core.layers import LAYERS
-from .marks import is_made, made_layers, mark_layers
+from .marks import made_layers, mark_layers, stand_ins
 from .session import Session
 
 VIEW = "Radiosity View"
@@ -34,7 +34,7 @@ def layer_names(scene):
 
 def has_result(scene):
     """Whether a bake has left anything in a scene."""
-    return any(is_made(o) or (o.type == "MESH" and layers_of(o.data)) for o in scene.objects)
+    return any(o.type == "MESH" and layers_of(o.data) for o in scene.objects) or bool(stand_ins(scene))
 
 
 def show(scene, layer, exposure=0.0):

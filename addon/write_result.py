@@ -19,7 +19,7 @@ from ..core.health import Finding
 from ..core.layers import vertex_means
 from .errors import Refused
 from .images import BRIGHTEST
-from .marks import KEY, hide, is_made, made_layers, mark, mark_layers, originals_shown, own_object
+from .marks import KEY, hide, made_layers, mark, mark_layers, originals_shown, own_object, stand_ins
 from .material_setup import is_set_up
 from .steps import aside
 
@@ -142,7 +142,7 @@ def object_of(scene, target):
 
 def result_copies(scene):
     """{name of an object: copy in a scene that holds its result, the first of several}."""
-    return {o[f"{KEY}_of"]: o for o in reversed(scene.objects[:]) if is_made(o) and f"{KEY}_of" in o and not o.library}
+    return {o[f"{KEY}_of"]: o for o in reversed(stand_ins(scene))}
 
 
 def copy_names(scene):

@@ -8,6 +8,7 @@ import pytest
 bpy = pytest.importorskip("bpy")
 from cell_radiosity.addon.errors import Refused  # noqa: E402
 from cell_radiosity.addon.job import Job, Options  # noqa: E402
+from cell_radiosity.addon.marks import stand_ins  # noqa: E402
 from cell_radiosity.addon.material_setup import set_up  # noqa: E402
 from cell_radiosity.addon.read_scene import read_scene  # noqa: E402
 from cell_radiosity.addon.write_result import remove_copies  # noqa: E402
@@ -203,6 +204,38 @@ def test_a_copy_follows_modifiers_that_make_another_shape_of_as_many_faces(cells
     assert copy.session_uid == shown
     assert {round(v.co.z, 5) for v in copy.data.vertices} == {0.125}  # displacement is from a middle level of a half
     assert list(copy.data.materials) == [material]
+
+
+@pytest.mark.parametrize("options", [{}, {"mesh": "subdivide", "max_edge": 0.5}, {"target": "lightmap"}])
+@pytest.mark.parametrize("fate", ["deleted", "renamed", "linked"])
+def test_a_copy_without_its_original_is_an_object_like_any_other(cells, tmp_path, options, fate):
+    """It casts light and shadow and takes its own light, in its own colors: nothing vanishes from the next bake."""
+    floor = lit_room()
+    floor.modifiers.new("finer", "SUBSURF").subdivision_type = "SIMPLE"
+    floor.data.materials.append(diffuse("green", (0.1, 0.7, 0.1)))
+    bake_ours(cells, error=0.5, texels_per_meter=4, **options)
+    copy, others = "floor_radiosity", ["wall"]
+    if fate == "deleted":
+        bpy.data.objects.remove(floor)
+    elif fate == "renamed":
+        floor.name = "ground"
+    else:
+        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "library.blend"))
+        empty()
+        with bpy.data.libraries.load(str(tmp_path / "library.blend"), link=True) as (_, wanted):
+            wanted.objects = ["floor", copy]
+        for object in wanted.objects:
+            bpy.context.scene.collection.objects.link(object)
+        lamp("POINT", 300.0, location=(-0.3, 0.2, 1.2))
+        others = [plane("ceiling", n=2, location=(0, 0, 2)).name]
+    job = bake_ours(cells, error=0.5)
+    assert sorted(job.scene.objects) == sorted([copy, *others])
+    assert stand_ins(bpy.context.scene) == []  # so that Clear Result leaves it where it is
+    number = job.scene.polygon_material[job.scene.polygon_object == job.scene.objects.index(copy)]
+    assert {job.scene.materials[k].name for k in number} == {"green"}
+    assert ("Radiosity" in bpy.data.objects[copy].data.color_attributes) == (
+        fate != "linked" or not options.get("target")
+    )
 
 
 def test_shared_meshes_get_a_copy_each(cells):

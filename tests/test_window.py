@@ -242,7 +242,7 @@ def test_a_light_is_dimmed_with_a_slider_and_one_undo_brings_it_back(box):
     box.ask(PRESS_BAKE)
     box.until(RUNNING)
     box.until(IDLE)
-    time.sleep(2.0)  # until the panel is drawn with its sliders
+    box.rest()  # until the panel is drawn with its sliders
     box.scroll()
     cells, strength = box.ask(f"answer = {CELLS}"), f"{SETTINGS}.result.groups[0].strength"
     values = "[list(x.color) for x in list(bpy.data.meshes['room'].color_attributes['Radiosity'].data)[::500]]"

@@ -116,6 +116,14 @@ class Window:
             assert time.monotonic() < end, "it was never seen"
             time.sleep(0.2)
 
+    def rest(self, wait=60):
+        """Wait until the screen stands still: what is found on it stays where it is."""
+        end, before, now = time.monotonic() + wait, None, self.picture()
+        while before is None or np.any(before != now):
+            assert time.monotonic() < end, "the screen never stood still"
+            time.sleep(1.0)
+            before, now = now, self.picture()
+
     def click(self, x, y):
         """Click at a place on the screen."""
         self._type("mousemove", x, y)
@@ -154,7 +162,7 @@ class Window:
         self._type("mousemove", (left + right) // 2, (top + bottom) // 2)
         time.sleep(0.2)
         self._type("click", "--repeat", 30, "--delay", 10, 5)
-        time.sleep(1.0)
+        self.rest()
 
     def drag(self, place, by):
         """Press the mouse at (x, y), and let it go so many pixels to the right."""
