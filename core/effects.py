@@ -41,7 +41,7 @@ WELD = 1e-6  # positions closer than this share of the scene's diagonal are the 
 MOST_TESTS = 200_000_000  # of a vertex against a plane; a room of more faces than that allows is not called convex
 MOST_HEIGHTS = 1 << 20  # of a place above a plane, found at a time
 MOST_TRIANGLES = 300_000  # that are sorted into pieces by their corners; in larger scenes each object is a piece
-TASK_RAYS = 1 << 14
+TASK_RAYS = 1 << 16  # of one task
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ from .vectors import counted, ratio, span, whole_runs
 # Rays of one task at most, less than 0.1 s. Points of a task share what is cast for neighbors: with half of the rays each
 # takes 7 % longer, with an eighth a third (measured where every point has 1500).
 TASK_RAYS = 1 << 18
-LEAST_RAYS = 1 << 13  # of one task at least: a task takes some 3 ms however few they are
+LEAST_RAYS = 1 << 15  # of one task at least: a task takes some 3 ms however few they are, a third of what 2^13 take
 LEAST_POINTS = 16  # of one task: each of a few would bring as many neighbors along
 TASK_POINTS = 1 << 12  # of one task at most
 SHARES = 2  # for each cell, of what is left, is a task at most: they get ever smaller, so that cells end together

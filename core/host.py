@@ -25,7 +25,7 @@ from .sky import solid_angles
 from .vectors import counted, ratio
 
 TASK_RAYS = 1 << 15  # of one task at most: some 10 ms
-LEAST_RAYS = 1 << 11  # of one task at least: less is not worth a message
+LEAST_RAYS = 1 << 13  # of one task at least: less is not worth a message and the calls that any task takes
 ANALYTIC_TASK = 4  # analytic rows of one task at most
 SHARES = 4  # tasks of a batch that a cell gets at least, if they are not too small: no cell waits long for another
 ROWS_SHARE = 0.25  # of the memory that a bake may use, for kept rows

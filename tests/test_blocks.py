@@ -100,6 +100,7 @@ def test_tasks_get_smaller_toward_the_end_and_change_no_bit(monkeypatch):
             return super().submit(name, **arguments)
 
     settings, found = Settings.for_error(0.05, gather_rays=64, patch_edge=0.2, pilot_rays=8), []
+    monkeypatch.setattr(gather, "LEAST_RAYS", 1 << 13)  # few, as the room is small
     for most in (gather.TASK_RAYS, 1 << 9):
         monkeypatch.setattr(gather, "TASK_RAYS", most)
         cells = Counted()
