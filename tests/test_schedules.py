@@ -26,7 +26,7 @@ from scenes import Lamp, Material, Settings, bake, box, icosphere, join_meshes, 
 SETTINGS = Settings(patch_edge=None, error=0.05, row_rays=256, gather_rays=32)
 
 
-def room(n=5):
+def room(n=4):
     """A room with a block and a glowing part of the ceiling: all patches are polygons."""
     return join_meshes(
         [
