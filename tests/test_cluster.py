@@ -72,6 +72,14 @@ def test_the_same_bits_as_other_cells(cluster, expected_busy):
     assert not cluster.note
 
 
+def test_workers_started_here_keep_memory(cluster):
+    """What makes them give it back at once is Dask's usual way, which is not changed for others."""
+    name = "MALLOC_TRIM_THRESHOLD_"
+    there = cluster._client.run(lambda: os.environ.get(name)).values()
+    assert list(there) == [os.environ.get(name)] * 2
+    assert dask.config.get("distributed.nanny.pre-spawn-environ")[name]
+
+
 def test_many_tasks_travel_together(cluster, monkeypatch):
     sent = []
     monkeypatch.setattr(
