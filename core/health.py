@@ -51,7 +51,7 @@ def mend(scene):
         uv = np.zeros((len(scene.corner_vertex), 2)) if scene.corner_uv is None else scene.corner_uv
         scene = scene.but(corner_uv=np.where(np.abs(uv) <= FARTHEST, uv, 0.0))
     lamps = tuple(lamp for lamp in scene.lamps if _shines(lamp, findings))
-    materials = tuple(_bounded(scene, k, findings) for k in range(len(scene.materials)))
+    materials = tuple(_even(_bounded(scene, k, findings), scene.textures) for k in range(len(scene.materials)))
     world = _clear(scene.world, findings)
     return scene.but(lamps=lamps, materials=materials, world=world, health=tuple(findings), mended=True)
 
@@ -366,6 +366,17 @@ def _bounded(scene, k, findings):
             Finding(material.name, f"a material whose {what} is negative or not a finite number", "0 was taken")
         )
     return replace(material, **fixed)
+
+
+def _even(material, textures):
+    """The material with an image of how much of it is there as one share, where that is the same all over: mostly 1, in files
+    that have a channel for it."""
+    if material.alpha_texture is None:
+        return material
+    share = textures[material.alpha_texture].pixels[..., 0]
+    if not share.size or share.min() != share.max():
+        return material
+    return replace(material, alpha=material.alpha * min(max(float(share.max()), 0.0), 1.0), alpha_texture=None)
 
 
 def _clear(world, findings):

@@ -10,6 +10,7 @@ import pytest
 from cell_radiosity.core.cells import LocalCells
 from cell_radiosity.core.effects import survey
 from cell_radiosity.core.gather import sides_of
+from cell_radiosity.core.health import mend
 from cell_radiosity.core.kernel import Kernel, cast_arrays, scene_arrays
 from cell_radiosity.core.lights import make_sources
 from cell_radiosity.core.surfaces import Texture
@@ -137,6 +138,17 @@ def test_image_with_holes_is_like_holes():
     places = [(x, y, 0) for x in (0.25, 0.5, 0.75) for y in (0.25, 0.5, 0.75)]
     found = point_light(baked(image, gather_rays=512), places)
     np.testing.assert_allclose(found, point_light(baked(holes, gather_rays=512), places), rtol=0.04)
+
+
+def test_an_image_that_is_the_same_all_over_is_one_share():
+    """Of what is there: rays choose as they would without the image."""
+    veil = sheet("veil", [(0, 0, 0.5), (1, 0, 0.5), (1, 1, 0.5), (0, 1, 0.5)], 1, 1)
+    half = Texture("half", np.full((3, 2, 3), 0.5, np.float32))
+    material = Material("veil", alpha=0.8, alpha_texture=0)
+    mended = mend(join_meshes([veil], [material], [], World((1.0, 1.0, 1.0)), textures=(half,)))
+    assert mended.materials[0] == replace(material, alpha=0.4, alpha_texture=None)
+    uneven = Texture("uneven", np.array([[[1.0] * 3, [0.5] * 3]], np.float32))
+    assert mend(mended.but(materials=(material,), textures=(uneven,), mended=False)).materials[0] == material
 
 
 def test_survey_says_what_rays_pass():

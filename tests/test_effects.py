@@ -141,8 +141,11 @@ TURNS = {
     "nodes that were read": ("textures", room(), room(readings=glow_read(0.0))),
     "an image of what is there": (
         "transparency",
-        room(textures=(Texture("a", np.ones((2, 2, 3), np.float32)),)),
-        room(materials=[replace(GRAY, alpha_texture=0)], textures=(Texture("a", np.full((2, 2, 3), 0.5, np.float32)),)),
+        room(
+            materials=[replace(GRAY, alpha_texture=0)],
+            textures=(Texture("a", np.ones((2, 2, 3), np.float32)),),
+        ),
+        room(materials=[replace(GRAY, alpha_texture=0)], textures=(Texture("a", np.tile(np.float32([[1, 1], [1, 0.99]])[..., None], 3)),)),
     ),
     "walls that let light through": ("two-sided", room(), room(materials=[replace(GRAY, translucency=(0.01,) * 3)])),
     "two rooms": (
