@@ -128,6 +128,7 @@ class _Work(_Idle):
     def cancel(self, context):
         """Called by Blender when it quits, opens another file or closes the window."""
         Session.end()
+        self._steps.close()  # what it leaves in order needs the file, which will be gone
 
     def _all(self, context):
         """Everything, in short steps: a generator that gives Blender its turn at each yield, and returns the operator's

@@ -218,7 +218,9 @@ def own_mesh(name):
 
 
 def _drop_meshes(meshes):
-    bpy.data.batch_remove([mesh for mesh in set(meshes) if mesh is not None and mesh.users == 0])
+    unused = [mesh for mesh in set(meshes) if mesh is not None and mesh.users == 0]
+    if unused:
+        bpy.data.batch_remove(unused)
 
 
 def copy_with(scene, target, mesh):
