@@ -218,8 +218,8 @@ class _Course:
         self.clock.lap("gather")
 
     def too_coarse(self):
-        """Whether patches alone keep the bake from its error for certain, where they have the length that is usual for
-        it."""
+        """Whether patches alone seem to keep the bake from its error, where they have the length that is usual for it: it
+        would end above it otherwise."""
         settings, found, error = self.settings, self.estimate, self.settings.error
         usual = eased(Settings.for_error(error, per_object=settings.per_object), self.survey)
         if found is None or self._coarse or self._timed or settings.gather_rays is not None:
@@ -228,8 +228,7 @@ class _Course:
             return False
         # Noise that was left as it is, because what replicates share is more than the error for certain, can still be cured.
         noise = found.noise if found.shared > error else 0.0
-        short = found.furthest > error and found.shared > 0
-        return short and found.furthest**2 - found.averaged**2 - noise**2 <= error * error
+        return found.furthest > error and found.furthest**2 - found.averaged**2 - noise**2 <= error * error
 
     def refine(self):
         """Begin anew, with the same points on finer patches."""
