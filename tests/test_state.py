@@ -94,7 +94,7 @@ def broken(scene, settings, cells, stop, **more):
     raise AssertionError("the bake was never broken off")
 
 
-STOPS = [("patches", 0), ("transport", 0), ("transport", 2), ("gather", 0), ("gather", 1), ("error", 1), ("gather", 9)]
+STOPS = [("patches", 0), ("transport", 0), ("transport", 2), ("gather", 0), ("gather", 1), ("error", 1), ("gather", 5)]
 
 
 SETTINGS = Settings(error=0.007, occlusion=0.3)
