@@ -48,7 +48,7 @@ class Groups:
 
 
 def make_groups(scene, group_of, emitting):
-    """The Groups of a scene. group_of: function of the name of a lamp, an object, or `SKY`, that gives its group's name.
+    """The Groups of a scene; None if nothing gives light. group_of: function of the name of a lamp, an object, or `SKY`, that gives its group's name.
     emitting: (K,) polygons that emit light."""
     lamps = [group_of(lamp.name) if max(lamp.strength) > 0 else None for lamp in scene.lamps]
     glows = np.zeros(len(scene.objects), bool)
@@ -56,6 +56,8 @@ def make_groups(scene, group_of, emitting):
     objects = [group_of(name) if glow else None for name, glow in zip(scene.objects, glows)]
     sky = group_of(SKY) if scene.world.brightest > 0 else None
     names = tuple(dict.fromkeys(name for name in (*lamps, *objects, sky) if name is not None))
+    if not names:
+        return None
     number = {None: -1, **{name: k for k, name in enumerate(names)}}
     lamp, object = (np.array([number[n] for n in found], int).reshape(-1) for found in (lamps, objects))
     return Groups(names, lamp, object, number[sky])

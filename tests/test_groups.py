@@ -121,3 +121,11 @@ def test_groups_of_several(cells):
     assert grouped.groups.names == ("lamps", "rest")
     dark = replace(scene(), lamps=(replace(LAMPS[0], strength=(0, 0, 0)), LAMPS[1]))
     assert baked(dark, cells, group_of=lambda name: name).groups.names == ("cold", "panel", "World")
+
+
+def test_a_scene_without_light_has_no_groups(cells):
+    scene = join_meshes([box("room", n=2)], lamps=[Lamp("point", (0.0, 0.0, 0.0))])
+    baked = run(bake(scene, Settings(gather_rays=4), cells, group_of=lambda name: name))
+    assert baked.groups is None
+    assert baked.by_group is None
+    assert not baked.light.total.any()
