@@ -167,7 +167,7 @@ class Window:
     def drag(self, place, by):
         """Press the mouse at (x, y), and let it go so many pixels to the right."""
         self._type("mousemove", *place)
-        time.sleep(0.3)
+        self.rest()  # what is drawn anew takes no press
         self._type("mousedown", 1)
         for step in range(1, 6):
             self._type("mousemove", place[0] + by * step // 5, place[1])
