@@ -276,7 +276,7 @@ def test_a_command_whose_cluster_is_lost(lonely, tmp_path, monkeypatch, capfd):
     assert np.array_equal(*found)
 
 
-@pytest.mark.parametrize("command", ["price", "cells"])
+@pytest.mark.parametrize("command", [pytest.param("price", marks=pytest.mark.heavy), "cells"])
 def test_other_commands_take_a_cluster_too(tmp_path, monkeypatch, command):
     """Their cells are its workers, which end with them."""
     bpy = pytest.importorskip("bpy")
@@ -322,10 +322,10 @@ def listens(port):
 @pytest.mark.parametrize(
     ("end", "number"),
     [
-        ("cells.stop()", None),
+        pytest.param("cells.stop()", None, marks=pytest.mark.heavy),
         ("time.sleep(60)", signal.SIGKILL),
         ("time.sleep(60)", signal.SIGINT),
-        ("import ctypes; ctypes.string_at(0)", None),
+        pytest.param("import ctypes; ctypes.string_at(0)", None, marks=pytest.mark.heavy),
     ],
     ids=["stop", "killed", "Ctrl-C", "crash"],
 )

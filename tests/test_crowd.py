@@ -178,6 +178,7 @@ def shop(count=49):
     )
 
 
+@pytest.mark.heavy
 def test_shadows_fall_as_when_each_source_is_tested_alone(monkeypatch):
     """At every point, within the noise of both; a crowd takes far fewer rays."""
     settings = Settings(error=0.01, gather_rays=256, row_rays=64, patch_edge=1 / 20, graded=False)

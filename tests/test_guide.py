@@ -205,6 +205,7 @@ def test_of_too_many_glowing_faces_the_strongest_are_sampled_if_they_give_most(c
     assert len(sources) == polygons.sum() == sampled
 
 
+@pytest.mark.heavy
 def test_guided_or_not_the_light_is_the_same_within_the_noise(always, monkeypatch):
     """Light that comes from panels by way of walls, too: the transport's own, and what points read of it."""
     scene, cells = room(7, 4), LocalCells()

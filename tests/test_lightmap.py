@@ -350,7 +350,9 @@ def test_texels_that_a_shadow_cuts_have_the_mean_over_their_surface(cells):
     assert baked.rays < 1.15 * plain.rays
 
 
-@pytest.mark.parametrize(("density", "asked"), [(4.0, 0.1), (16.0, 0.02), (16.0, 0.005)])
+@pytest.mark.parametrize(
+    ("density", "asked"), [(4.0, 0.1), pytest.param(16.0, 0.02, marks=pytest.mark.heavy), (16.0, 0.005)]
+)
 def test_the_estimate_is_of_what_texels_show(density, asked, cells):
     """Of a sun's hard shadows on black: all that is off are the texels that its edges cut. Where little error is asked for
     they are looked at in more places."""
