@@ -287,6 +287,9 @@ class _Course:
         else:
             before = known and known.solution
             written = np.repeat(self.scene.written[self.scene.polygon_object[self.patches.polygon]], 2)
+            # The inside of a lamp's shade may get most of all light; nobody asks for it, yet rays must find it.
+            if settings.side != "lit":
+                written[int(settings.side == "front") :: 2] = False
             points = self._points_foreseen()
             solving = solve(
                 self.patches, self.surfaces, self.sky, self.cells, settings, self.survey, before, written, points

@@ -232,3 +232,19 @@ def test_points_beside_a_bright_spot_stay_bounded(always):
     exitance = 0.7 * baked.solution.irradiance.max()
     assert baked.light.indirect.max() <= exitance
     assert np.isfinite(baked.light.total).all()
+
+
+@pytest.mark.parametrize(("side", "sides"), [("front", [True, False]), ("back", [False, True]), ("lit", [True, True])])
+def test_what_is_asked_for_are_the_sides_that_are_written(monkeypatch, side, sides):
+    """The inside of a shade gets more light than all the room, and would hide how little of it comes from there."""
+
+    def solve(patches, surfaces, sky, cells, settings, survey, before, written, points):
+        assert written.reshape(-1, 2).tolist() == [sides] * len(patches)
+        raise InterruptedError
+
+    monkeypatch.setattr("cell_radiosity.core.bake.solve", solve)
+    scene = join_meshes(
+        [box("room", n=4)], [Material("gray", (0.5,) * 3)], [Lamp("point", (1.0,) * 3, (0.5, 0.5, 0.5))]
+    )
+    with pytest.raises(InterruptedError):
+        run(bake(scene, Settings(side=side), LocalCells()))
