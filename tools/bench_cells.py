@@ -12,11 +12,8 @@ import argparse
 import os
 from dataclasses import replace
 
-import bpy
 import numpy as np
 
-from cell_radiosity.addon.files import silent
-from cell_radiosity.addon.read_scene import read_scene
 from cell_radiosity.cluster.cells import connect
 from cell_radiosity.core.cells import make_cells
 from cell_radiosity.core.experiment import replayed, timed
@@ -24,6 +21,19 @@ from cell_radiosity.core.replay import SleepingCells, TaskTimes, measure_message
 from cell_radiosity.core.settings import Settings
 
 HALL = os.path.join(os.path.dirname(os.path.dirname(os.path.abspath(__file__))), "sample_scenes", "hall.blend")
+
+
+def opened(file):
+    """The Scene of a .blend."""
+    # Here and not above: the processes of a cluster load this file anew, in a Python that may have no bpy.
+    import bpy
+
+    from cell_radiosity.addon.files import silent
+    from cell_radiosity.addon.read_scene import read_scene
+
+    with silent():
+        bpy.ops.wm.open_mainfile(filepath=file)
+    return read_scene(bpy.context)[0]
 
 
 def speed_up(scene, settings, runs):
@@ -82,9 +92,7 @@ def main():
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--counts", default="1,2,8,32,64", help="sleeping processes")
     arguments = parser.parse_args()
-    with silent():
-        bpy.ops.wm.open_mainfile(filepath=arguments.scene)
-    scene, _ = read_scene(bpy.context)
+    scene = opened(arguments.scene)
     settings = replace(Settings.for_error(arguments.error / 100), gather_rays=arguments.gather_rays)
     speed_up(scene, settings, arguments.runs)
     against_workers(scene, arguments.runs)
