@@ -120,8 +120,8 @@ def draw_control(points, light, count, per_object):
     share = ratio(points.area, by_object[points.object]) / max(np.count_nonzero(by_object), 1)
     squares = (light.total**2, light.indirect**2, light.variance)
     power, reflected, noise = (x.sum(axis=0) for x in squares)
-    upto = np.append(0.0, np.cumsum(noise[points.neighbor]))
-    noise = np.maximum(noise + np.diff(upto[points.neighbor_start]), 0.0)
+    sums = np.append(0.0, np.cumsum(noise[points.neighbor]))
+    noise = np.maximum(noise + np.diff(sums[points.neighbor_start]), 0.0)
     parts = points.area, share, points.area * power, points.area * reflected, points.area * noise
     density = np.zeros(len(points.area))
     for weight, values in zip(EACH if per_object else EVERYWHERE, parts):

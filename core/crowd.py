@@ -35,7 +35,7 @@ AT_ONCE = 1 << 20  # pairs that are kept for the picks
 FARTHEST = 1e15  # units: so far away are members at most, and so large, or float32 has no squares of that
 SMALLEST = np.float32(1e-15)  # square of a distance in units, at least
 LEAST, MOST = np.float32(1e-37), np.float32(1e37)  # that any member may give: sums of it are still float32
-DOUBT = np.float32(1e-3)  # of an angle: so narrow are beams whose rims float32 does not know
+RIM_DOUBT = np.float32(1e-3)  # of an angle: so narrow are beams whose rims float32 does not know
 PICK = 7  # salt of the sample sequences
 # cos, where it is positive, and |cos|, as a + b cos + c cos^2: the best that there is over the sphere.
 ONE_WAY, BOTH_WAYS = (3 / 32, 1 / 2, 15 / 32), (3 / 16, 0.0, 15 / 16)
@@ -439,7 +439,7 @@ def _rough_cone(cosine, edge, blend, wide):
     """Share of a spot's light toward the cosine of an angle to its axis, float32; wide: how far that is in doubt."""
     ramp = np.clip((cosine - edge) / np.maximum((1 - edge) * blend, np.float32(1e-6)), 0, 1)
     share = ramp * ramp * (3 - 2 * ramp)
-    share = np.where(cosine > edge - wide - DOUBT * DOUBT, np.maximum(share, np.float32(RIM)), share)
+    share = np.where(cosine > edge - wide - RIM_DOUBT * RIM_DOUBT, np.maximum(share, np.float32(RIM)), share)
     return np.where(edge > -1, share, np.float32(1))
 
 
@@ -448,7 +448,7 @@ def _rough_spread(cosine, edge, factor, wide):
     tangent = np.sqrt(np.maximum(1 - cosine * cosine, 0)) / np.maximum(cosine, np.float32(1e-6))
     share = np.maximum(edge - tangent, 0) * factor
     rim = np.float32(RIM) * edge * factor
-    turned = tangent - edge < 2 * (wide + DOUBT) * (1 + tangent * tangent)
+    turned = tangent - edge < 2 * (wide + RIM_DOUBT) * (1 + tangent * tangent)
     share = np.where(turned, np.maximum(share, rim), share)
     return np.where(edge > 0, share, np.float32(1))
 
