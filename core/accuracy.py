@@ -12,6 +12,7 @@ Choices depend on counts and variances alone, never on seconds, so that the same
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import dataclass
 
 import numpy as np
@@ -143,8 +144,8 @@ def rays_wanted(estimate, rays, error):
     goal = noise_wanted(estimate, error)
     if estimate.noise**2 <= goal:
         return 0
-    least = max(8, int(WORTH * rays))
-    return next((n for n in range(least, MOST_RAYS) if noise_after(estimate.noise, rays, n) <= goal), MOST_RAYS)
+    wanted = range(max(8, int(WORTH * rays)), MOST_RAYS)
+    return min(wanted.start + bisect_left(wanted, -goal, key=lambda n: -noise_after(estimate.noise, rays, n)), MOST_RAYS)
 
 
 def noise_wanted(estimate, error):

@@ -140,7 +140,7 @@ class RayRows:
         result = np.empty((len(light), len(self.sides)))
         rows = max(BLOCK // self.rays, 1)
         for k in range(0, len(self.sides), rows):
-            hits = self.hits[k : k + rows].reshape(-1)
+            hits = self.hits[k : k + rows].reshape(-1).astype(np.intp)  # once for all channels
             for channel, mean in zip(light, result):
                 seen = np.take(channel, hits, mode="wrap").reshape(-1, self.rays)
                 np.einsum("kn->k", seen, out=mean[k : k + rows])
