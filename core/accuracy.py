@@ -145,7 +145,9 @@ def rays_wanted(estimate, rays, error):
     if estimate.noise**2 <= goal:
         return 0
     wanted = range(max(8, int(WORTH * rays)), MOST_RAYS)
-    return min(wanted.start + bisect_left(wanted, -goal, key=lambda n: -noise_after(estimate.noise, rays, n)), MOST_RAYS)
+    return min(
+        wanted.start + bisect_left(wanted, -goal, key=lambda n: -noise_after(estimate.noise, rays, n)), MOST_RAYS
+    )
 
 
 def noise_wanted(estimate, error):
