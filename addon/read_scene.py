@@ -97,13 +97,13 @@ def _reading(context, wanted, shared, spacing, step):
         same = yield from in_steps(shape.same_as(original.data), step)
         own = orders[k], shape.corner_vertex, len(shape.vertices)
         targets.append(Target(original.name, original.session_uid, corner[k], corner[k + 1], *own, same))
-    hidden = _hidden(scene, depsgraph, rendered)
+    findings = [*_hidden(scene, depsgraph, rendered), *_only_instances(placed, wanted)]
     world, suns = read_world(context, scene.world and scene.world.original, reader.ignored)
     yield
     joined = yield from aside(
         step, join_meshes, meshes, reader.materials, lamps + list(suns), world, written, scene.name,
         textures=tuple(reader.textures), shared=np.unique([id(p.shape) for p in placed], return_inverse=True)[1],
-        health=tuple(reader.health + hidden),
+        health=tuple(reader.health + findings),
     )  # fmt: skip
     readings = _read_others(context, context.evaluated_depsgraph_get(), reader, joined, placed, orders, corner, spacing)
     ignored = dict.fromkeys([*reader.ignored, *reader.left_out(placed)])
@@ -484,6 +484,14 @@ def _hidden(scene, depsgraph, rendered):
         if o.type in SOLID | {"LIGHT"} and o.session_uid in rendered and o.session_uid not in seen and not o.hide_render
         and o.session_uid not in copies and not o.is_instancer
     ]  # fmt: skip
+
+
+def _only_instances(placed, wanted):
+    """Findings about meshes whose light is asked for, but of which there are instances: these have no mesh to write to."""
+    asked = (p.original for p in placed if not p.own and p.original.type == "MESH")
+    for name, count in Counter(o.name for o in asked if wanted is None or wanted(o.name)).items():
+        action = f"{NOT_WRITTEN}: make instances real to bake them"
+        yield Finding(name, f"{count} of it are instances, which cast light but hold none", action)
 
 
 def _writable(object, users, health):

@@ -325,6 +325,8 @@ GERMAN = {
     "edges of {} m are left, longer than {} m": "Kanten von {} m bleiben, länger als {} m",
     "{} vertices were the most there might be; --vertices sets another limit": "mehr als {} Eckpunkte durften es nicht sein; „Eckpunkte“ setzt eine andere Grenze",
     "its light was not written: make it local, or override it, to bake it": "sein Licht wurde nicht geschrieben: zum Backen lokal machen oder überschreiben",
+    "{} of it are instances, which cast light but hold none": "{} davon sind Instanzen, die Licht werfen, aber keines aufnehmen",
+    "its light was not written: make instances real to bake them": "sein Licht wurde nicht geschrieben: zum Backen Instanzen realisieren",
     "its light was not written, as asked for; --shared copy gives it its own": "sein Licht wurde wie verlangt nicht geschrieben; „Kopieren“ bei geteilten Meshes gibt ihm ein eigenes",
     "{} faces have a material index outside the {} slots": "{} Flächen haben einen Materialindex außerhalb der {} Slots",
     "the last slot's material was taken, as Blender does": "das Material des letzten Slots wurde genommen, wie Blender es tut",

@@ -74,6 +74,8 @@ def test_instances_cast_light_and_are_real_geometry():
     scene = read()
     assert scene.objects.count("block") == 10  # itself, as Cycles renders it, and one at each vertex
     assert scene.written.sum() == 2  # the plane and the block; instances cannot hold a result of their own
+    assert [(f.object, f.finding[:2]) for f in scene.health] == [("block", "9 ")]
+    assert not read_scene(bpy.context, lambda name: name == "parent")[0].health
 
 
 def test_collection_instances():
@@ -89,6 +91,7 @@ def test_collection_instances():
     plane()
     scene = read()
     assert scene.objects.count("block") == 3
+    assert [(f.object, f.finding[:2]) for f in scene.health] == [("block", "3 ")]
     assert scene.bounds[1][0] == pytest.approx(4.25)
 
 
