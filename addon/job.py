@@ -13,7 +13,7 @@ import bpy
 from ..core.bake import Progress, bake, price, relit, restored, run
 from ..core.cells import make_cells
 from ..core.effects import survey
-from ..core.health import mend
+from ..core.health import NO_LIGHT, mend
 from ..core.lights import emitting_polygons
 from ..core.patches import count_patches, patch_size
 from ..core.report import make_report
@@ -156,6 +156,9 @@ def check_scene(scene, targets, options):
             names = "no object is selected"
         raise Refused(f"there is nothing to write to: {names if options.objects else 'no mesh object of its own'}")
     if not (scene.lamps or len(emitting_polygons(scene)) or scene.world.brightest > 0):
+        broken = next((f for f in scene.health if f.action == NO_LIGHT), None)
+        if broken:
+            raise Refused(f"nothing gives light: {broken.object}: {broken.finding}; {broken.action}")
         raise Refused("nothing gives light: add a lamp, an emitting material or a world color")
     if options.max_patch not in (None, "mesh"):
         (count,) = count_patches(scene, [patch_size(scene, options.settings(scene))])

@@ -423,6 +423,7 @@ GERMAN = {
     "cannot write {}: {}": "{} kann nicht geschrieben werden: {}",
     "there is no mesh to bake: no face has an area": "es gibt kein Mesh zu backen: keine Fläche hat einen Inhalt",
     "there is nothing to write to: {text}": "es gibt nichts zu beschreiben: {text}",
+    "nothing gives light: {}: {text}; {more}": "nichts gibt Licht: {}: {text}; {more}",
     "there is nothing to write to: {}: {text}; {more}": "es gibt nichts zu beschreiben: {}: {text}; {more}",
     "no mesh matches {}": "kein Mesh heißt {}",
     "no object is selected": "kein Objekt ist ausgewählt",

@@ -22,6 +22,7 @@ SAME = 1e-6  # of the scene's diagonal: places closer than this are one place
 BRIGHTEST = 1e30  # more light than this has no place in float64 beside any other [W/m^2]
 WALKS, BOUNCES = 64, 24  # of light in a room that may be white all over
 IMBALANCE = 1e-3  # share of the emitted power that may be unaccounted for without a word
+NO_LIGHT = "it gives no light"  # what became of a lamp that cannot be used
 LOST = 0.05  # share of the lamps' power in a closed scene that may not be found without a word
 
 
@@ -335,12 +336,10 @@ def _works(lamp):
 def _shines(lamp, findings):
     """Whether a lamp can be used; if not, that is found."""
     if not _works(lamp):
-        findings.append(
-            Finding(lamp.name, "a lamp with values that are no numbers, or beyond all measure", "it gives no light")
-        )
+        findings.append(Finding(lamp.name, "a lamp with values that are no numbers, or beyond all measure", NO_LIGHT))
         return False
     if min(lamp.strength) < 0:
-        findings.append(Finding(lamp.name, "a lamp of negative strength", "it gives no light"))
+        findings.append(Finding(lamp.name, "a lamp of negative strength", NO_LIGHT))
         return False
     return True
 

@@ -293,7 +293,10 @@ def test_scenes_of_which_no_bake_makes_sense(tmp_path, command, capfd):
     empty()
     assert "no mesh to bake" in line()
     plane("floor", n=2)
-    assert "nothing gives light" in line()
+    assert "nothing gives light: add a lamp" in line()
+    lamp("SUN", float("nan"))
+    assert "nothing gives light: SUN: a lamp with values that are no numbers" in line()
+    bpy.data.objects.remove(bpy.data.objects["SUN"])
     lamp("SUN", 3.0)
     assert "no mesh matches table" in failing(capfd, command, tmp_path / "s.blend", "--objects", "table")[1]
     bpy.data.objects["floor"].scale = (0, 0, 0)
