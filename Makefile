@@ -12,7 +12,7 @@ bake: setup ## bake the sample Cornell box into out/
 	@mkdir -p out
 	$(VENV)/radiosity bake sample_scenes/cornell_box.blend -o out/cornell_box.blend --picture out/cornell_box.png --report out/cornell_box.json
 
-test: setup ## all tests but the heavy ones
+test: setup ## all tests but the heavy ones, and those that click in a real Blender
 	$(VENV)/pytest
 
 test-heavy: setup ## the heavy tests

@@ -163,7 +163,7 @@ def _charts(xatlas, scene, triangle, fine):
     index = group.reshape(-1, 3)
     first, second = _edges(index)
     bend = 1.0 - dot(facing[first], facing[second])
-    projected = (index, facing, first, second)
+    projected = (facing, first, second)
     if fine or ((bend > EXACTLY) & (bend < NEARLY)).any():
         return _projected(scene, triangle, *projected)
 
@@ -196,7 +196,7 @@ def _edges(index):
     return linked(np.arange(len(index)).repeat(3), key)
 
 
-def _projected(scene, triangle, index, facing, first, second):
+def _projected(scene, triangle, facing, first, second):
     """Charts of a dense mesh: parts that face one of six ways, projected along it. No triangle shrinks below 0.57."""
     axis = np.abs(facing).argmax(axis=1)
     way = 2 * axis + (np.take_along_axis(facing, axis[:, None], axis=1)[:, 0] < 0)

@@ -420,11 +420,11 @@ def _occlusion(look, two_sided):
     turned = lit[of_face]
     planes, behind = plane[lit], least[lit] < -WELD
     own = scene.used_vertices(triangle[turned])
-    inside = _outlier(scene, look, normal[planes], offset[planes], own, triangle[planes], +1)
+    inside = _outlier(scene, normal[planes], offset[planes], own, triangle[planes], +1)
     if inside is None and not behind.any():
         return Effect("occlusion", False, f"the faces that lamps reach are convex ({len(planes)} planes), with all lamps in front of them: nothing can cast a shadow")  # fmt: skip
     everything = scene.used_vertices(look.usable)
-    outside = _outlier(scene, look, normal[planes], offset[planes], everything, triangle[planes], -1)
+    outside = _outlier(scene, normal[planes], offset[planes], everything, triangle[planes], -1)
     if outside is None:
         return Effect("occlusion", False, f"everything lies behind the {len(planes)} planes of the faces that lamps reach: nothing can cast a shadow")  # fmt: skip
     if inside is None:
@@ -455,7 +455,7 @@ def _heights(normal, offset, places):
     return least, most
 
 
-def _outlier(scene, look, normal, offset, vertices, triangle, sign):
+def _outlier(scene, normal, offset, vertices, triangle, sign):
     """What keeps vertices from lying all on or in front (sign -1: behind) of planes, in words; None if they do."""
     if not len(vertices) or len(normal) * len(vertices) > MOST_TESTS:
         return f"the faces that lamps could light lie in {len(normal)} planes"

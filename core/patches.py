@@ -91,8 +91,8 @@ def make_patches(scene, edge=None, growth=0.0, finer=None):
     cells = grid.columns * grid.rows
     first = np.cumsum(cells) - cells
 
-    pieces = [_uncut(scene, triangle, facet, grid), _full_cells(facet, grid), _cut_cells(scene, triangle, facet, grid)]
-    leader = _clusters(scene, triangle, facet, grid, edge, finer)
+    pieces = [_uncut(scene, triangle, facet, grid), _full_cells(facet, grid), _cut_cells(facet, grid)]
+    leader = _clusters(scene, triangle, grid, edge, finer)
     cell = np.concatenate([first[leader[p.facet]] + p.cell for p in pieces])
     frame = np.concatenate([p.frame for p in pieces])
     square = np.concatenate([p.square for p in pieces])
@@ -386,7 +386,7 @@ def _quads(scene, first):
     return tuple(rows_of(scene.vertices, scene.corner_vertex[first + k]) for k in range(4))
 
 
-def _clusters(scene, triangle, facet, grid, edge, finer):
+def _clusters(scene, triangle, grid, edge, finer):
     """(F,) the facet whose patch each facet belongs to: its own, or the first one of its cluster."""
     leader = np.arange(len(grid.rows))
     if edge is None or not len(leader):
@@ -438,7 +438,7 @@ def _cell_frames(frame, column, row):
     return frame
 
 
-def _cut_cells(scene, triangle, facet, grid):
+def _cut_cells(facet, grid):
     """The elements of the other facets: their triangles, cut at the lines of the grid."""
     mine = ((grid.columns * grid.rows > 1) & ~_filled(facet, grid))[facet]
     facet, place, frame = facet[mine], grid.place[mine], grid.frame[mine]
