@@ -19,9 +19,12 @@ from .records import to_arrays
 from .scene import FLAT, normal_and_area
 from .vectors import by_coordinate, counted, dot, rows_of
 
-HEIGHTS = 5e-5, 1e-3  # of the rays above the patch, in scene diagonals: what touches it, and what hardly does not
+# Of the rays above the patch, in scene diagonals: they find what touches it, and what ends a little above it.
+HEIGHTS = 5e-5, 1e-3
 INSET = 1e-3  # how far they start inside the patch's corners
-ALONG = 0.999, 0.5  # a triangle whose normal is closer to the patch's than this lies along it, and does not cut
+# At each height: a triangle whose normal is closer to the patch's than this lies along it, and does not cut. Rays that are
+# higher meet the next facets of a curved surface too.
+ALONG = 0.999, 0.5
 MOST_ELEMENTS = 4  # of a cluster, from whose corners it is looked over
 TASK_PATCHES = 1 << 13
 

@@ -1,4 +1,4 @@
-"""Contacts: patches are cut along what stands on them, or hardly does not."""
+"""Contacts: patches are cut along what stands on them, or a little above them."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def widest_across(gap):
 
 
 @pytest.mark.parametrize("gap", [0.0, 2e-5, 1e-3, -0.01])
-def test_what_stands_on_a_floor_cuts_it_and_also_what_hardly_does_not(gap):
+def test_what_stands_on_a_floor_or_a_little_above_it_cuts_it(gap):
     """Touching, a millimeter above, and sunk: no patch is half below the wall and half beside it. The power that falls on
     one would go out below the wall."""
     assert widest_across(gap) < 1e-6
