@@ -13,8 +13,8 @@ import bpy
 from ..core.bake import Progress, bake, price, relit, restored, run
 from ..core.cells import make_cells
 from ..core.effects import survey
+from ..core.flats import emitting_polygons
 from ..core.health import NO_LIGHT, mend
-from ..core.lights import emitting_polygons
 from ..core.patches import count_patches, patch_size
 from ..core.report import make_report
 from ..core.settings import Settings

@@ -15,11 +15,11 @@ import numpy as np
 
 from ..core.atlas import NoUnwrapper, make_atlas, read_atlas, unpacked_atlas
 from ..core.bake import run
+from ..core.flats import emitting_polygons
 from ..core.groups import make_groups
 from ..core.health import Finding
 from ..core.layers import PLAIN, layer_colors, luminance, texel_colors
 from ..core.lightmap import Texels, average_cut, find_seams, look_up, make_images, make_texels
-from ..core.lights import emitting_polygons
 from ..core.points import Points
 from ..core.raycast import RayCaster
 from ..core.records import from_arrays, to_arrays

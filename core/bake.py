@@ -19,12 +19,13 @@ from .contacts import cut_contacts
 from .control import Control, Traced, draw_control
 from .costs import Work, with_costs
 from .effects import Survey, shut_in, simplified, survey
+from .flats import emitting_polygons
 from .gather import Gathering, light_arrays, patch_light, sides_of
 from .groups import Groups, make_groups, scaled, weighted
 from .health import Finding, mend
 from .host import Solution, solve
 from .kernel import cast_arrays, transport_arrays
-from .lights import emitting_polygons, make_sources
+from .lights import make_sources
 from .occlusion import find_openness
 from .paper import solve_paper
 from .patches import Patches, count_patches, patch_of_hit, patch_size

@@ -16,7 +16,8 @@ from time import thread_time
 
 import numpy as np
 
-from .lights import BALL, FLAT, MOST_SOURCES, SHORT
+from .flats import MOST_SOURCES
+from .lights import BALL, FLAT, SHORT
 from .members import LARGE, Members, make_members
 from .sampling import GOLDEN, R2, fraction, scatter
 from .vectors import by_coordinate, counted, dot, length, ratio

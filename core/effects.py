@@ -13,10 +13,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from .cells import LocalCells
+from .flats import emitting_polygons
 from .graphs import components
 from .health import Finding, audit, mend
 from .kernel import cast_arrays
-from .lights import emitting_polygons, lamp_outline, lamp_power
+from .lights import lamp_outline, lamp_power
 from .sampling import R2, R4, fraction, hemisphere, scatter
 from .scene import following_corners
 from .settings import EFFECTS, Settings

@@ -1,7 +1,7 @@
 """Direct light: lamps and flat emitting faces as sources, and test rays toward one of them at a time.
 
-Owns the record `Sources`, the merging of emitting polygons into flat sources, the exact irradiance of an unobstructed
-source, and the test rays that find how much of it is visible. Lamps never block rays; emitting faces do.
+Owns the record `Sources`, the exact irradiance of an unobstructed source, and the test rays that find how much of it is
+visible. Lamps never block rays; emitting faces do.
 """
 
 from __future__ import annotations
@@ -12,19 +12,17 @@ from time import thread_time
 
 import numpy as np
 
-from .graphs import components
+from .flats import emitting_flats
 from .polygons import polygon_factor
 from .sampling import fraction, lattice, tangents
 from .sky import split_sky
 from .vectors import (
     TINY,
     by_coordinate,
-    counted,
     cross,
     dot,
     from_coordinates,
     length,
-    numbered,
     ratio,
     take,
     unit,
@@ -32,12 +30,6 @@ from .vectors import (
 
 # Kinds of source: a flat polygon, a point or spot lamp, a sun, a group of bright directions of the sky.
 FLAT, BALL, SUN, SKY = 0, 1, 2, 3
-MOST_SOURCES = 32  # that are tested one by one
-MOST_FLATS = 1 << 16  # if there are more emitting faces, all but the strongest are found by the gather rays,
-MAIN = 0.5  # and these too if they do not give such a share of the light: rays must find it anyway
-MOST_MERGED = 1 << 15  # emitting polygons beyond this number are not merged into flat sources
-WARPED = 1e-3  # of the root of its area that a polygon's corners may be out of its plane
-STRAIGHT = 1e-6  # of its area: a polygon's corner turns at least so much
 SLANT = 0.05  # least cosine that a flat source is picked with: its middle may be hidden by the horizon, its rim not
 NEAR = 0.08  # a patch is near a source if it reaches further than this share of the distance to it
 SHORT = 1 - 1e-5  # share of the way to a lamp that must be free: one that lies in a surface lights both of its sides
@@ -117,28 +109,11 @@ def make_sources(scene, shut=None):
         _source(SKY, g.irradiance, (0,) * 3, -unit(g.directions.mean(axis=0)), radius=g.spread, corners=g.directions)
         for g in split_sky(scene.world)[1]
     ]
-    flats, sampled = _emitting_flats(scene, shut)
-    return join_sources([*found, flats]), sampled
-
-
-def emitting_polygons(scene):
-    """(K,) polygons that emit light and have an area."""
-    bright = np.array([max(m.exitance) > 0 for m in scene.materials], bool)[scene.polygon_material]
-    if scene.readings is not None:
-        bright[scene.triangle_polygon[scene.readings.triangle[scene.readings.exitance.max(axis=1) > 0]]] = True
-    whole = np.zeros(len(bright), bool)
-    whole[scene.triangle_polygon[scene.usable]] = True
-    return np.flatnonzero(bright & whole)
-
-
-def folded_polygons(scene):
-    """(P,) bool: polygons that fold over themselves, as a bow tie does, so that some of their triangles are turned. As sources
-    they would shine twice where they lie on themselves; rays find them once."""
-    triangle, folded = np.flatnonzero(scene.usable), np.zeros(len(scene.polygon_material), bool)
-    owner = scene.triangle_polygon[triangle]
-    turned = dot(scene.triangle_normal_area[0][triangle], scene.polygon_normal[owner]) <= 0
-    folded[owner[turned]] = True
-    return folded
+    flats, sampled = emitting_flats(scene)
+    faces = flat_sources(flats.corner, flats.sides, flats.exitance, scene.polygon_object[flats.polygon])
+    if shut is not None:
+        faces = replace(faces, two_sided=~shut[flats.polygon])
+    return join_sources([*found, faces]), sampled
 
 
 def lamp_power(lamp):
@@ -544,61 +519,6 @@ def _vector_areas(start, corner):
     return np.stack([np.bincount(owner, x, len(start) - 1) for x in twice.T], axis=1) / 2
 
 
-def _emitting_flats(scene, shut=None):
-    """Emitting faces as FLAT Sources, and which polygons (P,) bool they stand for: in one plane they are one source, if
-    it is convex; else each polygon, or each triangle of it. If there are too many, only the strongest are sources, or none.
-    """
-    exitance = np.array([m.exitance for m in scene.materials], float).reshape(-1, 3)
-    exitance *= np.array([m.alpha for m in scene.materials], float).reshape(-1, 1)
-    even = np.array([m.alpha_texture is None for m in scene.materials], bool)
-    glows = ((exitance > 0).any(axis=1) & even)[scene.polygon_material] & ~_read(scene) & ~folded_polygons(scene)
-    triangle = np.flatnonzero(scene.usable & glows[scene.triangle_polygon])
-    owner, size = scene.triangle_polygon[triangle], scene.triangle_normal_area[1][triangle]
-    area = np.bincount(owner, size, len(glows))
-    emitting, shapes = np.flatnonzero(area > 0), []
-    # A polygon that is out of its plane fills less than its triangles' areas say.
-    once = dot(scene.triangle_normal_area[0][triangle], scene.polygon_normal[owner]) * size
-    filled = emitting[np.bincount(owner, once, len(glows))[emitting] > 0.999 * area[emitting]]
-    if len(filled) <= MOST_MERGED:
-        sides = np.diff(scene.polygon_start)
-        groups = [g for g in _coplanar_groups(scene, filled) if len(g) > 1 or sides[g[0]] > 4]
-        shapes = [(g, _outline(_corners(scene, g), scene.polygon_normal[g[0]], area[g].sum())) for g in groups]
-        shapes = [(g, corners) for g, corners in shapes if corners is not None]
-        filled = np.setdiff1d(filled, np.concatenate([filled[:0], *(g for g, _ in shapes)]))
-    square = _squares(scene, filled, area[filled])
-    single = np.flatnonzero(~np.isin(owner, np.concatenate([square, *(g for g, _ in shapes)])))
-    # The part of each polygon: what is one source, or triangles of one polygon.
-    part = np.arange(len(glows))
-    for group, _ in shapes:
-        part[group] = group[0]
-    power = np.bincount(part, area * exitance[scene.polygon_material].sum(axis=1), len(glows))
-    strongest = np.lexsort((np.arange(len(power)), -power))
-    count = len(shapes) + len(square) + len(single)
-    rank, chosen = np.empty(len(power), np.int64), len(power)
-    rank[strongest] = np.arange(len(power))
-    if count > MOST_FLATS:
-        chosen = MOST_SOURCES if power[strongest[:MOST_SOURCES]].sum() >= MAIN * power.sum() else 0
-
-    polygon = np.concatenate([[g[0] for g, _ in shapes], square, owner[single]]).astype(np.int64)
-    start = _starts([*(len(c) for _, c in shapes), *[4] * len(square), *[3] * len(single)])
-    corner = (scene.polygon_start[square, None] + np.arange(4)).reshape(-1)
-    corners = [scene.vertices[scene.corner_vertex[corner]], scene.vertices[scene.triangles[triangle[single]]]]
-    corner = np.concatenate([*(c for _, c in shapes), *(c.reshape(-1, 3) for c in corners)])
-    order = np.argsort(rank[part[polygon]], kind="stable")
-    order = order[rank[part[polygon[order]]] < chosen]
-    polygon = polygon[order]
-    owner, number = counted(np.diff(start)[order])
-    corner, start = corner[start[order][owner] + number], _starts(np.diff(start)[order])
-    flats = flat_sources(
-        corner, np.diff(start), exitance[scene.polygon_material[polygon]], scene.polygon_object[polygon]
-    )
-    if shut is not None:
-        flats = replace(flats, two_sided=~shut[polygon])
-    sampled = np.zeros(len(glows), bool)
-    sampled[emitting] = rank[part[emitting]] < chosen
-    return flats, sampled
-
-
 def flat_sources(corner, sides, strength, object):
     """FLAT Sources that shine to both sides. corner: (C, 3) those of one after the other, sides: (S,) how many each has;
     strength: (S, C); object: (S,) whose faces they are."""
@@ -617,73 +537,3 @@ def flat_sources(corner, sides, strength, object):
         corner=corner,
         origin=(-2 - object).astype(np.int32),
     )
-
-
-def _read(scene):
-    """(P,) bool: polygons whose light was read place by place."""
-    read = np.zeros(len(scene.polygon_material), bool)
-    if scene.readings is not None:
-        read[scene.triangle_polygon[scene.readings.triangle]] = True
-    return read
-
-
-def _corners(scene, polygons):
-    """(C, 3) the corners of polygons (K,)."""
-    corner = np.concatenate([np.arange(*scene.polygon_start[p : p + 2]) for p in polygons])
-    return scene.vertices[scene.corner_vertex[corner]]
-
-
-def _squares(scene, polygons, area):
-    """Those of polygons (K,), of areas (K,), that have four corners in a plane and are convex."""
-    four = np.diff(scene.polygon_start)[polygons] == 4
-    polygons, area = polygons[four], area[four]
-    corner = scene.vertices[scene.corner_vertex[scene.polygon_start[polygons, None] + np.arange(4)]]
-    normal = scene.polygon_normal[polygons][:, None]
-    side = np.roll(corner, -1, axis=1) - corner
-    turn = dot(cross(side, np.roll(side, -1, axis=1)), normal)
-    level = np.abs(dot(corner - corner[:, :1], normal)).max(axis=1, initial=0.0) <= WARPED * np.sqrt(area)
-    return polygons[level & (turn > STRAIGHT * area[:, None]).all(axis=1)]
-
-
-def _coplanar_groups(scene, polygons):
-    """Polygons (K,) of one object, material and plane that are joined by vertices, as a list of arrays (k,)."""
-    if not len(polygons):
-        return []
-    size = np.diff(scene.polygon_start)[polygons]
-    owner = np.repeat(np.arange(len(polygons)), size)
-    corner = np.arange(len(owner)) + np.repeat(scene.polygon_start[polygons] - np.cumsum(size) + size, size)
-    place = (scene.vertices[scene.corner_vertex[corner]] - scene.bounds[0]) / max(scene.diagonal, 1e-300)
-    n = scene.polygon_normal[polygons]
-    level = np.einsum("kd,kd->k", place[np.cumsum(size) - size], n)
-    alike = np.column_stack(
-        [scene.polygon_object[polygons], scene.polygon_material[polygons], n.round(4), level.round(5)]
-    )
-    joint = numbered(np.column_stack([numbered(alike)[owner], place.round(6)]))
-    label = components(owner, len(polygons) + joint, len(polygons) + int(joint.max()) + 1)[: len(polygons)]
-    order = np.argsort(label, kind="stable")
-    return np.split(polygons[order], np.flatnonzero(np.diff(label[order])) + 1)
-
-
-def _outline(corners, normal, area):
-    """The convex polygon (V, 3) that coplanar polygons with these corners (C, 3) fill, or None if they leave gaps."""
-    frame = np.stack(tangents(normal))
-    flat = np.einsum("kd,ad->ka", corners - corners[0], frame)
-    order = np.lexsort((flat[:, 1], flat[:, 0]))
-    chain = _half_hull(flat, order)[:-1] + _half_hull(flat, order[::-1])[:-1]
-    x, y = flat[chain].T
-    hull = 0.5 * abs((x * np.roll(y, -1) - np.roll(x, -1) * y).sum())
-    warped = np.abs(np.einsum("kd,d->k", corners - corners[0], normal)).max() > WARPED * np.sqrt(hull)
-    return None if warped or abs(hull - area) > 1e-3 * hull else corners[chain]
-
-
-def _half_hull(flat, order):
-    """Indices of the lower (or, in reversed order, upper) half of the convex hull of points (C, 2) (Andrew 1979)."""
-    hull = []
-    for k in order:
-        while len(hull) > 1:
-            (ax, ay), (bx, by) = flat[hull[-1]] - flat[hull[-2]], flat[k] - flat[hull[-2]]
-            if ax * by - ay * bx > 1e-9 * (abs(ax) + abs(ay)) * (abs(bx) + abs(by)):
-                break
-            hull.pop()
-        hull.append(k)
-    return hull

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from .lights import MOST_FLATS, emitting_polygons, flat_sources, folded_polygons, join_sources
+from .flats import MOST_FLATS, emitting_polygons, folded_polygons
+from .lights import flat_sources, join_sources
 from .share import face_rays
 from .surfaces import make_surfaces
 from .vectors import counted

@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cell_radiosity.core import host, lights, pictures
+from cell_radiosity.core import flats, host, pictures
 from cell_radiosity.core.bake import bake, run
 from cell_radiosity.core.cells import LocalCells, make_cells
 from cell_radiosity.core.gather import SEEDS, gather_points, light_arrays, sides_of
 from cell_radiosity.core.guide import MOST_GROUPS, NOTHING, Guide, bright_sides, make_guide
+from cell_radiosity.core.lights import make_sources
 from cell_radiosity.core.points import block_arrays, make_points
 from cell_radiosity.core.polygons import polygon_factor
 from cell_radiosity.core.records import to_arrays
@@ -166,8 +167,8 @@ def test_a_guide_is_to_bright_sides_that_can_be_seen():
 @pytest.fixture
 def always(monkeypatch):
     """Rays are guided wherever there is something bright, and most panels are left to them."""
-    for module in (lights, pictures):
-        monkeypatch.setattr(module, "MOST_FLATS", lights.MOST_SOURCES)
+    for module in (flats, pictures):
+        monkeypatch.setattr(module, "MOST_FLATS", flats.MOST_SOURCES)
     monkeypatch.setattr(host, "bright_sides", lambda *a: np.append(a[3], 0)[: len(a[5])] > 3 * a[3].mean())
 
 
@@ -200,8 +201,8 @@ def test_the_same_bits_from_any_number_of_cells_and_after_a_state(always, tmp_pa
 @pytest.mark.parametrize(("count", "sampled"), [(5, 25), (7, 32), (9, 0)])
 def test_of_too_many_glowing_faces_the_strongest_are_sampled_if_they_give_most(count, sampled, monkeypatch):
     """32 of 49 panels alike do, 32 of 81 do not."""
-    monkeypatch.setattr(lights, "MOST_FLATS", lights.MOST_SOURCES)
-    sources, polygons = lights.make_sources(room(count))
+    monkeypatch.setattr(flats, "MOST_FLATS", flats.MOST_SOURCES)
+    sources, polygons = make_sources(room(count))
     assert len(sources) == polygons.sum() == sampled
 
 
