@@ -18,7 +18,7 @@ from .clock import Clock
 from .contacts import cut_contacts
 from .control import Control, Traced, draw_control
 from .costs import Work, with_costs
-from .effects import Survey, shut_in, simplified, survey
+from .effects import Survey, simplified, survey
 from .flats import emitting_polygons
 from .gather import Gathering, light_arrays, patch_light, sides_of
 from .groups import Groups, make_groups, scaled, weighted
@@ -30,6 +30,7 @@ from .occlusion import find_openness
 from .paper import solve_paper
 from .patches import Patches, count_patches, patch_of_hit, patch_size
 from .pictures import add_pictures, near_pictures
+from .pieces import shut_in
 from .placing import refill, thin_findings
 from .points import Points, make_points
 from .prices import PRICED, Pilot, price_list

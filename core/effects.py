@@ -13,18 +13,19 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from .cells import LocalCells
+from .convexity import find_heights, find_outlier, find_planes
 from .flats import emitting_polygons
 from .graphs import components
 from .health import Finding, audit, mend
 from .kernel import cast_arrays
 from .lights import lamp_outline, lamp_power
-from .sampling import R2, R4, fraction, hemisphere, scatter
-from .scene import following_corners
+from .pieces import WELD, pieces_of
+from .sampling import R2, R4, fraction, hemisphere
 from .settings import EFFECTS, Settings
 from .share import COMMON, face_rays, indirect_share, light_contrast
 from .sky import split_sky
 from .surfaces import LARGEST_REFLECTANCE
-from .vectors import cross, dot, length, unit
+from .vectors import dot, length, unit
 
 DARK = 1e-3  # an object whose front gets less than this share of what its back gets is lit from behind
 SHARE = 0.2  # of the error asked for that one effect may be worth when it is left out
@@ -38,10 +39,7 @@ LAMP_RAYS = 256  # rays from each lamp
 MOST_LAMPS = 64  # that send them
 MOST_GLOWING = 256  # emitting faces that may be seen without obstruction; of more, some are taken to be hidden
 SURE = 3.0  # what none of n rays has seen is at most SURE / n of what there is, with 95 % confidence
-WELD = 1e-6  # positions closer than this share of the scene's diagonal are the same
 MOST_TESTS = 200_000_000  # of a vertex against a plane; a room of more faces than that allows is not called convex
-MOST_HEIGHTS = 1 << 20  # of a place above a plane, found at a time
-MOST_TRIANGLES = 300_000  # that are sorted into pieces by their corners; in larger scenes each object is a piece
 TASK_RAYS = 1 << 16  # of one task
 
 
@@ -176,7 +174,7 @@ class _Look:
         self.emitting = emitting_polygons(scene)
         cells.start(cast_arrays(scene, _forced(settings, "transparency")))
         self._cells = cells
-        self._piece = _pieces(scene)  # of each polygon
+        self._piece = pieces_of(scene)  # of each polygon
         self._cast()
 
     def _cast(self):
@@ -409,9 +407,11 @@ def _occlusion(look, two_sided):
     if two_sided:
         normal, offset = np.concatenate([normal, -normal]), np.concatenate([offset, -offset])
         triangle = np.concatenate([triangle, triangle])
-    plane, of_face = _planes(normal, offset)
+    plane, of_face = find_planes(normal, offset)
 
-    least, most = _heights(normal[plane], offset[plane], (np.concatenate([np.zeros((0, 3)), *places]) - center) * scale)
+    least, most = find_heights(
+        normal[plane], offset[plane], (np.concatenate([np.zeros((0, 3)), *places]) - center) * scale
+    )
     for reach, direction in distant:
         rise = dot(normal[plane], direction)
         least, most = np.minimum(least, rise - reach), np.maximum(most, rise + reach)
@@ -436,47 +436,19 @@ def _occlusion(look, two_sided):
     return Effect("occlusion", True, inside)
 
 
-def _planes(normal, offset):
-    """The first (K,) of the faces that lie in each plane, to a millionth of the scene, and the plane (F,) of each face."""
-    key = np.zeros(len(normal), np.int64)
-    for axis in range(3):
-        key <<= 21
-        key |= ((normal[:, axis] + 1.0) * 1e6).round().astype(np.int64)
-    way = np.unique(key, return_inverse=True)[1].astype(np.int64).reshape(-1)
-    return np.unique((way << 22) + (offset * 1e6).round().astype(np.int64), return_index=True, return_inverse=True)[1:]
-
-
-def _heights(normal, offset, places):
-    """The least and the greatest height (K,) of places (L, 3) above planes (K,)."""
-    least, most = np.full(len(normal), np.inf), np.full(len(normal), -np.inf)
-    step = max(MOST_HEIGHTS // max(len(normal), 1), 1)
-    for k in range(0, len(places), step):
-        height = np.einsum("pd,ld->pl", normal, places[k : k + step]) - offset[:, None]
-        least, most = np.minimum(least, height.min(axis=1)), np.maximum(most, height.max(axis=1))
-    return least, most
-
-
 def _outlier(scene, normal, offset, vertices, triangle, sign):
     """What keeps vertices from lying all on or in front (sign -1: behind) of planes, in words; None if they do."""
     if not len(vertices) or len(normal) * len(vertices) > MOST_TESTS:
         return f"the faces that lamps could light lie in {len(normal)} planes"
     place = (scene.vertices[vertices] - scene.bounds.mean(axis=0)) / max(scene.diagonal, 1e-300)
-    # Few planes first, in any order: most rooms are found out by one of them.
-    order = np.argsort(scatter(np.arange(len(normal)), 17), kind="stable")
-    most, step, done = max(1 << 22, len(vertices)) // len(vertices), 8, 0
-    while done < len(order):
-        part = order[done : done + min(step, most)]
-        done, step = done + len(part), 4 * step
-        height = sign * (np.einsum("vd,pd->pv", place, normal[part]) - offset[part][:, None])
-        worst = height.min(axis=1)
-        if (worst < -WELD).any():
-            plane = int(np.argmin(worst))
-            vertex = vertices[int(np.argmin(height[plane]))]
-            here = _owner(scene, triangle[part[plane]])
-            there = _owner(scene, int(np.flatnonzero((scene.triangles == vertex).any(axis=1))[0]))
-            meters = -worst[plane] * scene.diagonal
-            return f"not convex: {there} reaches {meters:.3g} m behind a face of {here} that a lamp could light"
-    return None
+    found = find_outlier(normal, offset, place, sign, WELD)
+    if found is None:
+        return None
+    plane, vertex, depth = found[0], vertices[found[1]], found[2]
+    here = _owner(scene, triangle[plane])
+    there = _owner(scene, int(np.flatnonzero((scene.triangles == vertex).any(axis=1))[0]))
+    meters = depth * scene.diagonal
+    return f"not convex: {there} reaches {meters:.3g} m behind a face of {here} that a lamp could light"
 
 
 def _owner(scene, triangle):
@@ -631,55 +603,6 @@ def _islands(look):
         word = "back" if side else "front"
         names.append(f"{look.scene.objects[look.scene.polygon_object[polygon]]}, {word}")
     return Effect("islands", True, f"{count} parts cannot see one another ({'; '.join(names)}{'; ...' if count > 3 else ''}): each has a stop of its own")  # fmt: skip
-
-
-def _pieces(scene):
-    """(P,) number of the piece of surface that each polygon belongs to: polygons that touch at corners, by position."""
-    if len(scene.triangles) > MOST_TRIANGLES or not scene.usable.any():
-        return scene.polygon_object.astype(np.int64)
-    vertex = _welded(scene)
-    size = np.diff(scene.polygon_start)
-    corner = vertex[scene.corner_vertex]
-    polygon = np.repeat(np.arange(len(size), dtype=np.int32), size)
-    count = int(vertex.max()) + 1
-    label = components(corner, count + polygon, count + len(size))[count:]
-    return np.unique(label, return_inverse=True)[1].reshape(-1)
-
-
-def _welded(scene):
-    """(V,) int32 number of the place that each vertex lies at: those closer than `WELD` share one."""
-    step = WELD * max(scene.diagonal, 1e-300)
-    with np.errstate(invalid="ignore", over="ignore"):
-        place = np.clip(np.nan_to_num((scene.vertices - scene.bounds[0]) / step), -1, (1 << 21) - 2) + 1.5
-    x, y, z = place.astype(np.int64).T
-    return np.unique((x << 42) | (y << 21) | z, return_inverse=True)[1].reshape(-1).astype(np.int32)
-
-
-def shut_in(scene, island):
-    """(P,) bool: emitting polygons of closed surfaces, as lamps are made of, whose backs see nothing but the inside of
-    these. island: see Survey."""
-    shut, emitting = np.zeros(len(scene.polygon_material), bool), emitting_polygons(scene)
-    if not len(emitting):
-        return shut
-    piece = _pieces(scene)
-    nodes = np.zeros((int(piece.max()) + 1, 2), np.int64)
-    nodes[piece] = island
-    alone = np.bincount(nodes.reshape(-1))[nodes[:, 1]] == 1
-    alone[piece[scene.left_out | scene.double]] = False
-    alone &= np.isin(np.arange(len(alone)), piece[emitting])
-    # Closed: each edge is gone along as often in one direction as in the other; and turned outward.
-    corner = np.flatnonzero(alone[np.repeat(piece, np.diff(scene.polygon_start))])
-    owner = np.repeat(piece, np.diff(scene.polygon_start))[corner]
-    vertex = _welded(scene)
-    here, there = (vertex[scene.corner_vertex[c]] for c in (corner, following_corners(scene.polygon_start)[corner]))
-    low, high = np.minimum(here, there).astype(np.int64), np.maximum(here, there)
-    _, edge = np.unique((low << 32) | high, return_inverse=True)
-    once = np.bincount(edge.reshape(-1), np.sign(there - here)) != 0
-    alone[owner[once[edge.reshape(-1)]]] = False
-    own = piece[scene.triangle_polygon]
-    a, b, c = np.moveaxis(scene.vertices[scene.triangles] - scene.bounds[0], 1, 0)
-    volume = np.bincount(own, np.where(alone[own], dot(a, cross(b, c)), 0.0), len(alone))
-    return (alone & (volume > 0))[piece]
 
 
 def _lamp_rays(lamp):

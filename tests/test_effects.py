@@ -9,8 +9,9 @@ import pytest
 
 from cell_radiosity.core.cells import LocalCells
 from cell_radiosity.core.choices import EVEN
-from cell_radiosity.core.effects import shut_in, survey
+from cell_radiosity.core.effects import survey
 from cell_radiosity.core.lights import make_sources
+from cell_radiosity.core.pieces import shut_in
 from cell_radiosity.core.settings import EFFECTS
 from cell_radiosity.core.share import light_contrast
 from cell_radiosity.core.surfaces import Readings, Texture
@@ -414,5 +415,5 @@ def test_many_lamps_are_judged_by_the_strongest():
 def test_heights_above_planes_are_found_in_parts(name, monkeypatch):
     scenes = TURNS[name][1:]
     whole = [decided(scene)["occlusion"] for scene in scenes]
-    monkeypatch.setattr("cell_radiosity.core.effects.MOST_HEIGHTS", 13)
+    monkeypatch.setattr("cell_radiosity.core.convexity.MOST_HEIGHTS", 13)
     assert [decided(scene)["occlusion"] for scene in scenes] == whole
