@@ -11,6 +11,7 @@ from time import perf_counter
 import numpy as np
 
 from .accuracy import CROWDED, MOST_RAYS, Estimate, estimate_error, rays_by_object, rays_wanted
+from .averages import Averages, places_wanted
 from .budget import cells_within
 from .cells import LocalCells
 from .choices import control_points, control_rays, eased, finer, goes_on, more_control, parted, shadowless
@@ -42,7 +43,6 @@ from .sky import split_sky
 from .state import State, StateError, scene_prints
 from .steep import make_fine_patches
 from .surfaces import make_surfaces, reflects
-from .vectors import ratio
 
 ROUGH_RAYS = 32  # of a point, to tell where a mesh must be finer
 FINER = 1.5  # times shorter are patches where the usual ones alone keep a bake from its error
@@ -50,8 +50,6 @@ IN_TIME = 0.9  # of the time that is left is spent on another replicate
 PLACED = 100_000  # points that are foreseen where they do not lie on the scene's vertices
 PILOT = 2  # replicates of the pilot: how they scatter shows their noise
 MOST_REPLICATES = 40  # where objects are gathered one by one
-PLACES = (16, 64, 256)  # in a surface over which light is averaged: the first that do
-WELL = 0.3  # of the error asked for: averages that are off by less do
 SOLVED = 0.25  # of the error asked for: a known transport whose bound is below that is good enough
 
 
@@ -105,14 +103,20 @@ class Bake:
 
 
 def bake(scene, settings, cells, place=None, group_of=None, state=None, average=None):
-    """Bake a scene: a generator that yields Progress and returns the Bake. cells: any `Cells`; they are left running.
-    place: generator function of (scene, flipped, cells, light, kept) that returns the Scene to write, its Points, and
-    {name: array} to keep: given as `kept`, else None, it returns the same again without a ray; None for the scene's
-    corners. light: generator function of Points, that returns (P,) what they get, roughly. group_of: the light group of
-    a lamp's or object's name, see groups.make_groups; None keeps no groups. state: the State of a bake of the same
-    scene, to go on from: no ray of it is cast again. average: generator function of (points, light, cells, seed, places) that
-    returns ids (K,) of the points whose light of sampled sources is that of a whole surface around them, that light (C, K)
-    and its variance (K,), all channels together; None for none. Raises StateError if it is not the same scene."""
+    """Bake a scene: a generator that yields Progress and returns the Bake.
+
+    scene, settings: what to bake, and what it may cost.
+    cells: any `Cells`, that do the work; they are left running.
+    place: generator function (scene, flipped, cells, light, kept) that returns the Scene to write, its Points, and
+        {name: array} to keep; given these as `kept`, else None, it returns the same again without a ray. Its `light` is a
+        generator function of Points that returns (P,) what they get, roughly. None: the points are the scene's corners.
+    group_of: the light group of a lamp's or object's name, see `groups.make_groups`; None keeps no groups.
+    state: the State of a bake of the same scene, to go on from: no ray of it is cast again.
+    average: generator function (points, light, cells, seed, places) that returns the first three fields of `Averages`: of
+        the points whose light of sampled sources is to be that of a whole surface around them. None: of no points.
+
+    Raises StateError if the state is of another scene.
+    """
     scene = mend(scene)
     groups = make_groups(scene, group_of, emitting_polygons(scene)) if group_of else None
     if state is not None:
@@ -504,7 +508,9 @@ class _Course:
     def result(self, solution=None):
         """The Bake as it stands; solution: of a transport that is not at its end."""
         if solution is None:
-            light = self._averaged_light()
+            light = self.gathering.light(self.scene.diagonal)
+            if self.averaged:
+                light = self.averaged.in_light(light, self.gathering.sampled(self.averaged.ids))
         else:
             light = patch_light(self.side, solution)
         points, solution, error = self.points, solution or self.solution, self.settings.error
@@ -559,16 +565,6 @@ class _Course:
             reflects=reflects(self.scene),
         )
 
-    def _averaged_light(self):
-        """The Light as it stands, at some points that of a whole surface around them."""
-        light = self.gathering.light(self.scene.diagonal)
-        if self.averaged is None:
-            return light
-        ids, sampled, _, _ = self.averaged
-        direct = light.direct.copy()
-        direct[:, ids] = np.maximum(direct[:, ids] + (sampled - self.gathering.sampled(ids)), 0.0)
-        return replace(light, direct=direct)
-
     def _coarse_findings(self):
         """A Finding if the patches of the known state are longer than those that would have been made."""
         if self._coarse and self.estimate:
@@ -614,25 +610,13 @@ class _Course:
     def _average(self, average):
         """Find the light of whole surfaces around points, at so many places that it is not what keeps the bake from its
         error; see `bake`. What was decided on the way knows nothing of it."""
-        done = self.averaged[-1] if self.averaged else 0
-        for places in PLACES:
-            if places > done and not (
-                self.averaged and self._variance_of_averages() < (WELL * self.settings.error) ** 2
-            ):
-                light = self.gathering.light(self.scene.diagonal)
-                averaging = average(self.points, light, self.cells, self.settings.seed, places)
-                found = yield from _each(averaging, lambda done: self._of_points(*done))
-                self.averaged = (*found, places)
+        while places := places_wanted(self.averaged, self.points, self._light(), self.settings.error):
+            light = self.gathering.light(self.scene.diagonal)
+            averaging = average(self.points, light, self.cells, self.settings.seed, places)
+            found = yield from _each(averaging, lambda done: self._of_points(*done))
+            self.averaged = Averages(*found, places)
         if self.control is not None:
-            more = np.zeros(len(self.points))
-            more[self.averaged[0]] = self.averaged[2]
-            self._estimate(more)
-
-    def _variance_of_averages(self):
-        """What the averages' own variance is of the light's power."""
-        ids, _, variance, _ = self.averaged
-        area, total = self.points.area, self._light().total
-        return ratio((area[ids] * variance).sum(), (area * (total * total).sum(axis=0)).sum())
+            self._estimate(self.averaged.variances(len(self.points)))
 
     def _show_early(self):
         """Make points to show the light of an unfinished transport at, if they can be known before its end."""

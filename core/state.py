@@ -17,6 +17,7 @@ from math import inf
 import numpy as np
 
 from .anew import Edges
+from .averages import Averages
 from .control import Traced
 from .effects import Effect, Survey
 from .gather import Gathered
@@ -32,7 +33,6 @@ from .saving import written_whole
 from .settings import Settings
 
 FORMAT = 7  # of the file; higher when samples of the same seed become others
-AVERAGED = "averaged.ids", "averaged.direct", "averaged.variance", "averaged.places"
 ANEW = "name another state file to bake it anew"
 DAMAGED = f"it is not a state file, or is damaged: {ANEW}"
 
@@ -50,9 +50,8 @@ class State:
     places: arrays from which points are made again without a ray, {name: array}; side: (P,) the patch side of each.
     gathered: replicates, and the bound of the transport that each of them read, bounds. control: ids and weights of
     control points, drawn from each object or not; traced: their truths; doubt: of the estimate before they were last
-    traced, since the last replicate, times the fourth root of their rays. openness: (distance, (P,)). averaged: ids (K,)
-    of points whose light of sampled sources is that of a whole surface around them, that light (C, K), its variance (K,),
-    and the number of places that it is the mean of. price: the list that the pilot foretold. seconds: {phase: spent so
+    traced, since the last replicate, times the fourth root of their rays. openness: (distance, (P,)). averaged:
+    Averages of light over surfaces around points. price: the list that the pilot foretold. seconds: {phase: spent so
     far}, and "replicates" those on `rays` gather rays. note: whoever asked for the bake may leave one.
     """
 
@@ -72,7 +71,7 @@ class State:
     traced: Traced | None = None
     doubt: float = inf
     openness: tuple | None = None
-    averaged: tuple | None = None
+    averaged: Averages | None = None
     price: tuple = ()
     seconds: dict = field(default_factory=dict)
     note: str = ""
@@ -311,7 +310,7 @@ def _packed(state):
     if state.openness is not None:
         told["distance"], arrays["openness"] = state.openness
     if state.averaged is not None:
-        arrays.update(zip(AVERAGED, state.averaged))
+        arrays.update(to_arrays("averaged", state.averaged))
     return arrays, told
 
 
@@ -361,9 +360,9 @@ def _unpacked(arrays, told):
         found["traced"] = replace(traced, **{name: int(getattr(traced, name)) for name in ("rounds", "asked")})
     if "openness" in arrays:
         found["openness"] = told["distance"], arrays["openness"]
-    if AVERAGED[0] in arrays:
-        *means, places = (arrays[name] for name in AVERAGED)
-        found["averaged"] = (*means, int(places))
+    if "averaged.ids" in arrays:
+        averages = from_arrays(Averages, "averaged", arrays)
+        found["averaged"] = replace(averages, places=int(averages.places))
     return replace(state, **found)
 
 
