@@ -13,11 +13,10 @@ from itertools import product
 import numpy as np
 
 from .cuts import cut_patches
-from .kernel import blocks
 from .patches import CUTS
 from .records import to_arrays
 from .scene import FLAT, normal_and_area
-from .vectors import by_coordinate, counted, dot, rows_of
+from .vectors import by_coordinate, counted, dot, rows_of, runs
 
 # Of the rays above the patch, in scene diagonals: they find what touches it, and what ends a little above it.
 HEIGHTS = 5e-5, 1e-3
@@ -54,7 +53,7 @@ def find_contacts(kernel, ids):
     a convex patch misses them all.
     """
     blocker = np.full(len(ids), -1, np.int32)
-    for part in blocks(len(ids), 4):
+    for part in runs(len(ids), 4):
         own = ids[part]
         owner, start, stop = _paths(kernel.patches, own)
         normal = rows_of(kernel.patches.normal, own[owner])

@@ -14,11 +14,10 @@ import numpy as np
 
 from .anew import read_light, read_reflected, reflect_anew
 from .gather import SEEDS, Shooter, weighted_sum
-from .kernel import blocks
 from .lights import test_rays
 from .points import Block, block_arrays
 from .sampling import R2, fraction, ray_samples, scatter
-from .vectors import ratio
+from .vectors import ratio, runs
 
 CONTROL = 6  # salt of the sample sequences
 APART = 1 << 20  # seeds of control points are so far from those of the gather, in replicates
@@ -144,7 +143,7 @@ def control_points(kernel, rays, seed, **points):
     if not (kernel.arrays["gather.reflectance"].any() or kernel.arrays["gather.through"].size or found.size):
         return {"truth": truth, "patches": patches}  # rays bring nothing
     shooter = Shooter(kernel, points, rays, seed)
-    for part in blocks(len(points), shooter.each):
+    for part in runs(len(points), shooter.each):
         hit, weight = shooter.shoot(part)
         counts = (hit.side >= 0) & (weight.reshape(-1) > 0)
         emitted = read_light(found, hit.side)

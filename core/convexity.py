@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .sampling import scatter
+from .vectors import runs
 
 MOST_HEIGHTS = 1 << 20  # of a place above a plane, found at a time
 MOST_AT_ONCE = 1 << 22  # the same, where a few planes may do
@@ -28,9 +29,8 @@ def find_planes(normal, offset):
 def find_heights(normal, offset, places):
     """The least and the greatest height (K,) of places (L, 3) above planes (K,)."""
     least, most = np.full(len(normal), np.inf), np.full(len(normal), -np.inf)
-    step = max(MOST_HEIGHTS // max(len(normal), 1), 1)
-    for k in range(0, len(places), step):
-        height = np.einsum("pd,ld->pl", normal, places[k : k + step]) - offset[:, None]
+    for part in runs(len(places), len(normal), MOST_HEIGHTS):
+        height = np.einsum("pd,ld->pl", normal, places[part]) - offset[:, None]
         least, most = np.minimum(least, height.min(axis=1)), np.maximum(most, height.max(axis=1))
     return least, most
 

@@ -20,7 +20,7 @@ from .flats import MOST_SOURCES
 from .lights import BALL, FLAT, SHORT
 from .members import LARGE, Members, make_members
 from .sampling import GOLDEN, R2, fraction, scatter
-from .vectors import by_coordinate, counted, dot, length, ratio
+from .vectors import by_coordinate, counted, dot, length, ratio, runs
 
 NEARBY = 0.2  # a flat member that reaches further than this share of the distance is near: its exact factor is taken
 SLIM = 4.0  # square of its reach, as a multiple of its area, from which on a source is much longer than wide
@@ -31,8 +31,8 @@ FAR = 0.4  # a group that reaches further than this share of the distance is loo
 ALIKE = 1e-3  # difference of normals that are one
 FLOOR = 0.02  # of a group's power that it is thought to send any way, at least
 SPACING = 0.25  # of members of a group, as a share of its reach: none is thought nearer
-BLOCK = 1 << 16  # pairs of a place and a member, or group, at a time: they stay in the processor's cache
-AT_ONCE = 1 << 20  # pairs that are kept for the picks
+AT_ONCE = 1 << 16  # pairs of a place and a member, or group, at a time: they stay in the processor's cache
+KEPT = 1 << 20  # pairs that are kept for the picks
 FARTHEST = 1e15  # units: so far away are members at most, and so large, or float32 has no squares of that
 SMALLEST = np.float32(1e-15)  # square of a distance in units, at least
 LEAST, MOST = np.float32(1e-37), np.float32(1e37)  # that any member may give: sums of it are still float32
@@ -151,7 +151,7 @@ class Crowd:
         shape = len(place[0]), len(strength)
         result, near, squares = np.empty(shape, np.float32), np.empty(shape, bool), np.empty(shape, np.float32)
         inside = np.maximum((np.float32(SPACING) * reach) ** 2, SMALLEST)
-        for part in _runs(*shape):
+        for part in runs(*shape, AT_ONCE):
             x, n, around = (p[part] for p in place)
             toward = [center[d] - x[:, d, None] for d in range(3)]
             square = toward[0] * toward[0] + toward[1] * toward[1] + toward[2] * toward[2]
@@ -195,7 +195,7 @@ class Crowd:
         `_relative`), positive unless it can give nothing; and (E, N) squares of the distances."""
         shape = len(row), self._table.shape[2]
         result, squares = np.empty(shape, np.float32), np.empty(shape, np.float32)
-        for part in _runs(*shape):
+        for part in runs(*shape, AT_ONCE):
             own = tuple(p[row[part]] for p in place)
             flat = group[part] < self._first[1]
             for mine, kind in ((np.flatnonzero(flat), _of_flats), (np.flatnonzero(~flat), _of_balls)):
@@ -285,7 +285,7 @@ class Crowd:
             upto = _upto(given)
             total = upto[:, -1]
             number = np.where(total > 0, count(total * self._relative[2]), 0)
-            owner, u, x = _spread(number, ids[part], seed)
+            owner, u, x = _picks(number, ids[part], seed)
             member, density, whole = self._chosen(place, given, upto, owner, u, exact)
             own = (exact[0][owner], exact[1][owner])
             facing = own[1] if geometric is normal else geometric[part][owner]
@@ -339,14 +339,7 @@ class Crowd:
     def _parts(self, places):
         """Slices of places, so few at a time that all that is found of them can be kept."""
         every = self._groups[-1].any()
-        size = max(AT_ONCE // (len(self.members) if every else 4 * len(self._first[0])), 1)
-        return [slice(k, k + size) for k in range(0, len(places), size)]
-
-
-def _runs(count, each):
-    """Slices that cut `count` rows of `each` pairs into blocks."""
-    size = max(BLOCK // max(each, 1), 1)
-    return [slice(k, min(k + size, count)) for k in range(0, count, size)]
+        return runs(len(places), len(self.members) if every else 4 * len(self._first[0]), KEPT)
 
 
 def _sum(values):
@@ -359,7 +352,7 @@ def _upto(values):
     return np.cumsum(values, axis=1, dtype=float)
 
 
-def _spread(count, ids, seed):
+def _picks(count, ids, seed):
     """The place (R,) of count (K,) picks of each of K places, and samples of them in [0, 1): one (R,) that is spread evenly
     over each place's, rising, and two more (R,)."""
     owner, number = counted(count)

@@ -25,12 +25,12 @@ from .settings import EFFECTS, Settings
 from .share import COMMON, face_rays, indirect_share, light_contrast
 from .sky import split_sky
 from .surfaces import LARGEST_REFLECTANCE
-from .vectors import dot, length, unit
+from .vectors import dot, length, runs, unit
 
 DARK = 1e-3  # an object whose front gets less than this share of what its back gets is lit from behind
 SHARE = 0.2  # of the error asked for that one effect may be worth when it is left out
 SEEN = 150  # rays of the survey from each side of the faces, divided by the error asked for
-MOST_RAYS = 100_000  # of the survey, from each side
+MOST_SEEN = 100_000  # of these rays
 SHADOWS = ("occlusion", "sky", "textures", "transparency")  # effects by which light changes within a short way
 EACH = 4  # rays at least from each side of every piece of surface
 ALONE = 256  # from what seems to see nothing that has light
@@ -245,7 +245,7 @@ class _Look:
         """Triangles (K,) that rays set out from and the rays' numbers (K,), in a few parts, so that what the first of them
         have seen is not looked for again: spread by area, with a few from every piece in the first."""
         scene = self.scene
-        count = int(min(SEEN / self.settings.error, MOST_RAYS))
+        count = int(min(SEEN / self.settings.error, MOST_SEEN))
         area = scene.triangle_normal_area[1][self.usable]
         if not len(area):
             yield self.usable, self.usable
@@ -254,7 +254,7 @@ class _Look:
         place = (np.arange(count) + 0.5) / count * upper[-1]
         chosen = self.usable[np.minimum(np.searchsorted(upper, place, side="right"), len(area) - 1)]
         number, some = np.arange(count), np.zeros(0, np.int64)
-        if pieces * EACH <= MOST_RAYS:
+        if pieces * EACH <= MOST_SEEN:
             some = self._of_pieces(np.arange(pieces), EACH)
         early = number % EARLY == 0
         yield np.append(chosen[early], some), np.append(number[early], count + np.arange(len(some)))
@@ -262,8 +262,8 @@ class _Look:
         # What few rays have looked at may see the rest all the same.
         alone = np.flatnonzero(np.bincount(self._label, self._sent) < ALONE)
         alone = np.unique(np.flatnonzero(np.isin(self._label, np.intersect1d(alone, self.lit_islands))) // 2)
-        if 0 < len(alone) * EACH <= MOST_RAYS:
-            more = self._of_pieces(alone, min(ALONE, MOST_RAYS // len(alone)))
+        if 0 < len(alone) * EACH <= MOST_SEEN:
+            more = self._of_pieces(alone, min(ALONE, MOST_SEEN // len(alone)))
             yield more, count + len(some) + np.arange(len(more))
 
     def _of_pieces(self, pieces, each):
@@ -295,9 +295,9 @@ class _Look:
 
     def _hits(self, position, normal, direction):
         """Triangle (K,), -1 where a ray escapes, and whether it met its back (K,)."""
-        parts = [slice(k, k + TASK_RAYS) for k in range(0, len(position), TASK_RAYS)]
         tasks = [
-            self._cells.submit("cast", position=position[p], normal=normal[p], direction=direction[p]) for p in parts
+            self._cells.submit("cast", position=position[p], normal=normal[p], direction=direction[p])
+            for p in runs(len(position), most=TASK_RAYS)
         ]
         found = self._cells.take(tasks)
         hit = np.concatenate([np.zeros(0, np.int32), *(f["triangle"] for f in found)])
@@ -545,7 +545,7 @@ def _sky(look):
 def _textures(look):
     scene = look.scene
     spread = {
-        scene.materials[m].name: _spread(scene.textures[scene.materials[m].texture])
+        scene.materials[m].name: _unevenness(scene.textures[scene.materials[m].texture])
         for m in np.unique(look.material)
         if scene.materials[m].texture is not None
     }
@@ -559,7 +559,7 @@ def _textures(look):
     return Effect("textures", True, f"{len(spread)} materials have an image; that of {name} varies by {100 * spread[name]:.3g} %")  # fmt: skip
 
 
-def _spread(texture):
+def _unevenness(texture):
     """How far a texture's pixels are apart, as a share of its mean."""
     low, high = texture.pixels.min(axis=(0, 1)), texture.pixels.max(axis=(0, 1))
     mean = float(np.einsum("hwc->", texture.pixels.astype(float))) / max(texture.pixels.size, 1)

@@ -17,13 +17,12 @@ import numpy as np
 
 from .anew import edge_arrays, read_light, read_reflected
 from .guide import NOTHING, Aim, guide_samples
-from .kernel import blocks
 from .lights import FLAT, SUN, test_rays, unlike, unoccluded
 from .points import Block, block_arrays
 from .records import to_arrays
 from .replicates import PARTS, WHOLE, Light, Replicate, block_of_light, light_blocks, light_of_block, mean_light
 from .sampling import R2, fraction, hemisphere, lattice, scatter, tangents
-from .vectors import counted, ratio, span, whole_runs
+from .vectors import counted, ratio, runs, span, whole_runs
 
 # Rays of one task at most, less than 0.1 s. Points of a task share what is cast for neighbors: with half of the rays each
 # takes 7 % longer, with an eighth a third (measured where every point has 1500).
@@ -267,7 +266,7 @@ def gather_points(kernel, rays, tests, seed, links, **points):
     if not (reflected.size or found.size):
         return result
     shooter = Shooter(kernel, points, rays, seed)
-    for part in blocks(len(points), shooter.each):
+    for part in runs(len(points), shooter.each):
         hit, weight = shooter.shoot(part)
         if reflected.size:
             light = read_reflected(kernel, hit, points.ids[part], points.size[part], seed)

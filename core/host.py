@@ -22,7 +22,7 @@ from .graphs import components
 from .guide import LOOK_RAYS, NOTHING, Guide, bright_sides, make_guide
 from .records import to_arrays
 from .sky import solid_angles
-from .vectors import counted, ratio
+from .vectors import counted, ratio, runs
 
 TASK_RAYS = 1 << 15  # of one task at most: some 10 ms
 LEAST_RAYS = 1 << 13  # of one task at least: less is not worth a message and the calls that any task takes
@@ -33,7 +33,7 @@ LAG = 3  # batches in flight; a batch is picked from the state that so many batc
 BATCH = 4096  # sides of a batch at least, and a share of those that wait
 BATCH_SHARE = 0.5
 FACING = 256  # patches that tell how many are in front of a side
-BLOCK = 1 << 16  # rays of the rows that a solver step gathers over at a time: their light stays in the cache
+AT_ONCE = 1 << 16  # rays of the rows that a solver step gathers over at a time: their light stays in the cache
 KRYLOV = 8  # directions that the solve combines at a time
 LEAST_COVERAGE = 1e-3  # of a patch, which keeps its irradiance finite
 SWEEPS = 2000  # of the solve, at most
@@ -138,12 +138,11 @@ class RayRows:
         """(C, K) irradiance of the rows' sides, from light (C, 2 N) of the sides they hit and (C, M) of the sky's cells."""
         light = np.column_stack([light, beyond])
         result = np.empty((len(light), len(self.sides)))
-        rows = max(BLOCK // self.rays, 1)
-        for k in range(0, len(self.sides), rows):
-            hits = self.hits[k : k + rows].reshape(-1).astype(np.intp)  # once for all channels
+        for part in runs(len(self.sides), self.rays, AT_ONCE):
+            hits = self.hits[part].reshape(-1).astype(np.intp)  # once for all channels
             for channel, mean in zip(light, result):
                 seen = np.take(channel, hits, mode="wrap").reshape(-1, self.rays)
-                np.einsum("kn->k", seen, out=mean[k : k + rows])
+                np.einsum("kn->k", seen, out=mean[part])
         return result / self.rays
 
     def escaped(self, start=0):

@@ -22,13 +22,6 @@ from .sky import cells_of
 
 NONE = np.zeros(0)  # stands for an array that there is not: cells keep what they are not given anew
 MOST_FACTORS = 1 << 21  # of sources at points that are kept, 16 MB
-BLOCK = 1 << 14  # rays cast at a time: their arrays stay in the processor's cache
-
-
-def blocks(count, each):
-    """Slices that cut `count` items of `each` rays into blocks."""
-    size = max(BLOCK // max(each, 1), 1)
-    return [slice(k, min(k + size, count)) for k in range(0, count, size)]
 
 
 def cast_arrays(scene, veiled=False):

@@ -18,7 +18,7 @@ from .lights import unoccluded
 from .points import Block, Points, block_arrays
 from .raycast import OFFSET
 from .sampling import hemisphere, lattice, morton_order, tangents
-from .vectors import TINY, counted, cross, dot, length, numbered, runs, unit
+from .vectors import TINY, counted, cross, dot, doubled_areas, length, numbered, runs, unit
 
 FEW, MANY = 4, 16  # rays that tell a covered texel: if all of the few meet backs, the many are cast
 WAYS = 8  # directions along the surface in which a covered texel looks for the open
@@ -110,7 +110,7 @@ def _places(scene, atlas, flipped, row, weight):
     normal = np.where(
         np.isfinite(normal).all(axis=1, keepdims=True) & (dot(normal, normal) > 0)[:, None], normal, geometric
     )
-    spread = np.abs(_doubled(atlas.place)) / 2
+    spread = np.abs(doubled_areas(atlas.place)) / 2
     size = scene.triangle_normal_area[1][atlas.triangle] / np.maximum(spread, TINY)  # of a texel [m^2]
     area = np.where(spread > 0, size, 0.0)[row]
     edge = np.sqrt(np.minimum(area, scene.diagonal**2))
@@ -154,12 +154,6 @@ def _first(key, distance, row, weight):
     order = np.lexsort((row, distance, key))
     order = order[np.append(True, key[order][1:] != key[order][:-1])] if len(order) else order
     return key[order], distance[order], row[order], weight[order]
-
-
-def _doubled(place):
-    """(K,) twice the signed areas of triangles (K, 3, 2)."""
-    a, b = place[:, 1] - place[:, 0], place[:, 2] - place[:, 0]
-    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
 
 
 def _grid_neighbors(atlas, image, line, column, chart):

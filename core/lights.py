@@ -24,6 +24,7 @@ from .vectors import (
     from_coordinates,
     length,
     ratio,
+    runs,
     take,
     unit,
 )
@@ -33,7 +34,7 @@ FLAT, BALL, SUN, SKY = 0, 1, 2, 3
 SLANT = 0.05  # least cosine that a flat source is picked with: its middle may be hidden by the horizon, its rim not
 NEAR = 0.08  # a patch is near a source if it reaches further than this share of the distance to it
 SHORT = 1 - 1e-5  # share of the way to a lamp that must be free: one that lies in a surface lights both of its sides
-PLACES = 144  # on a lamp of limited spread that its light is summed over
+NARROW_PLACES = 144  # on a lamp of limited spread that its light is summed over
 FULL_SPREAD = 1.5697  # half angle beyond which a lamp shines in all directions alike [rad]
 LEAST_SPREAD = 1e-3  # half angle of the narrowest beam [rad]
 DISK_PLACES = 32  # on a spot's disk that its cone is averaged over
@@ -367,10 +368,9 @@ def _narrowed(sources, s, cosine):
 
 def _narrow_factor(sources, s, position, normal):
     """(K,) what `unoccluded` says of a FLAT source of limited spread: the sum over places all over it."""
-    aim, area = _on_polygon(sources.polygon(s), *lattice(PLACES)), sources.areas[s] / PLACES
+    aim, area = _on_polygon(sources.polygon(s), *lattice(NARROW_PLACES)), sources.areas[s] / NARROW_PLACES
     result = np.empty(len(position))
-    for first in range(0, len(position), 4096):
-        part = slice(first, first + 4096)
+    for part in runs(len(position), most=4096):
         toward = aim - position[part, None]
         square = dot(toward, toward)
         distance = np.sqrt(square)

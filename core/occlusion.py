@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from .kernel import blocks
 from .points import Block, block_arrays
 from .sampling import fraction, hemisphere, lattice, scatter, tangents
-from .vectors import dot
+from .vectors import dot, runs
 
 RAYS = 96  # of a point
 FARTHEST = 1e6  # that a ray goes, in the caster's units, in which a scene is about 1
@@ -36,7 +35,7 @@ def openness_of_points(kernel, distance, seed, **points):
     u, v = lattice(RAYS)
     reach = np.float32(min(distance * kernel.caster.frame[1], FARTHEST))
     openness = np.empty(len(points))
-    for part in blocks(len(points), RAYS):
+    for part in runs(len(points), RAYS):
         ids = points.ids[part].astype(np.int64)
         normal, geometric = points.normal[part], points.geometric[part]
         turn = scatter(ids, SALT + 8 * seed)[:, None]

@@ -21,7 +21,7 @@ import numpy as np
 from .polygons import clip_polygons
 from .sampling import scatter
 from .scene import FLAT, LEAST_AREA, box_of
-from .vectors import changes, counted, cross, dot, from_coordinates, length, rows_of, runs, unit
+from .vectors import changes, counted, cross, dot, doubled_areas, from_coordinates, length, rows_of, runs, unit
 
 CELL = np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)])  # corners of a cell
 SMALL = 0.5  # facets below this share of a patch's edge are clustered
@@ -233,7 +233,7 @@ def _lay_grids(scene, triangle, facet, edge, growth, finer):
         at, span = lay(scene, triangle[part], owner, corners, leading[part])
         cells = _cells_of(span, wide[chosen], edge[chosen], growth)
         # A sliver thinner than its digits has no frame: what it belongs to stays whole.
-        thin = np.bincount(owner, ~(np.abs(_determinant(at)) > THIN)) > 0
+        thin = np.bincount(owner, ~(np.abs(doubled_areas(at)) > THIN)) > 0
         cells[thin] = 1
         columns[chosen], rows[chosen] = cells.astype(np.int64).T
         broad = ~thin[owner]
@@ -313,16 +313,10 @@ def _frames(corners, place):
     world and (K, 3, 2) in cells."""
     a, b = place[:, 1] - place[:, 0], place[:, 2] - place[:, 0]
     e1, e2 = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    det = _determinant(place)[:, None]
+    det = doubled_areas(place)[:, None]
     s = (b[:, 1:] * e1 - a[:, 1:] * e2) / det
     t = (a[:, :1] * e2 - b[:, :1] * e1) / det
     return np.stack([corners[:, 0] - place[:, 0, :1] * s - place[:, 0, 1:] * t, s, t], axis=1)
-
-
-def _determinant(place):
-    """(K,) twice the signed area of triangles (K, 3, 2)."""
-    a, b = place[:, 1] - place[:, 0], place[:, 2] - place[:, 0]
-    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
 
 
 def _longest_edges(corners, owner):
@@ -414,7 +408,7 @@ def _filled(facet, grid):
     cells = grid.columns * grid.rows
     laid = np.flatnonzero((cells > 1)[facet])
     facet, leading, place, frame = facet[laid], grid.leading[laid], grid.place[laid], grid.frame[laid]
-    area = np.bincount(facet, np.abs(_determinant(place)) / 2, len(cells))
+    area = np.bincount(facet, np.abs(doubled_areas(place)) / 2, len(cells))
     first = frame[leading][np.cumsum(leading) - 1]
     size = np.abs(first[:, 1:]).max(axis=(1, 2))
     differs = np.abs(frame[:, 1:] - first[:, 1:]).max(axis=(1, 2)) > 1e-6 * size

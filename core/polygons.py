@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .vectors import TINY
+from .vectors import TINY, runs
 
 # Rational approximation of (arctan(t) - t) / t^3 in t^2, |t| < 0.66, from the Cephes library (Moshier 1989).
 _P = (-8.750608600031904122785e-1, -1.615753718733365076637e1, -7.500855792314704667340e1,
@@ -16,7 +16,7 @@ _Q = (1.0, 2.485846490142306297962e1, 1.650270098316988542046e2, 4.3288106049129
       4.853903996359136964868e2, 1.945506571482613964425e2)  # fmt: skip
 
 
-BLOCK = 2048  # points at a time, so that what is found of them stays in the cache
+AT_ONCE = 2048  # points at a time, so that what is found of them stays in the cache
 HORIZON = 1e-6  # sine of the elevation below which a corner counts as level with the element
 BITS = 1e-12  # the same, in units of how far the farthest corner is
 PLANE = 1e-9  # height above a polygon, in units of how far a corner is, below which an element lies in its plane
@@ -77,8 +77,7 @@ def polygon_factor(points, normals, polygon):
     does not matter. Lambert's formula: F = 1/(2 pi) sum over edges of gamma_k n . (R_k x R_k+1) / |R_k x R_k+1|.
     """
     factor = np.empty(len(points))
-    for first in range(0, len(points), BLOCK):
-        part = slice(first, first + BLOCK)
+    for part in runs(len(points), most=AT_ONCE):
         corners = np.moveaxis(polygon[part] if polygon.ndim == 3 else polygon, -2, 0)
         # Coordinate by coordinate: arrays (V, K) take a third of the time of (K, V, 3).
         ray = [corners[..., d].reshape(len(corners), -1) - points[part, d] for d in range(3)]

@@ -14,7 +14,7 @@ import numpy as np
 
 from .filter import SPREAD, Filter
 from .points import pairs
-from .vectors import counted, ratio, rows_of
+from .vectors import counted, ratio, rows_of, runs
 
 PARTS = ("direct", "found", "reflected")  # of a point's light
 REACH = 0.4  # of the filter, in harmonic mean free distances, at 64 gather rays
@@ -92,8 +92,7 @@ class Near:
 
 def light_blocks(count, many):
     """Slices that cut P points into the blocks whose light is found in one go; one if they are not `many`."""
-    size = BLOCK if many else count
-    return [slice(k, min(k + size, count)) for k in range(0, count, max(size, 1))]
+    return runs(count, most=BLOCK if many else count)
 
 
 def around(points, part):

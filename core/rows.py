@@ -11,12 +11,11 @@ from __future__ import annotations
 import numpy as np
 
 from .guide import GUIDED, Aim
-from .kernel import blocks
 from .lights import patch_irradiance
 from .patches import draw_on_patches
 from .polygons import polygon_factor
 from .sampling import R4, fraction, hemisphere, lattice4, scatter, tangents
-from .vectors import dot, length, ratio
+from .vectors import dot, length, ratio, runs
 
 ROW, DIRECT, SHADOW, CROWD = 1, 2, 5, 0  # salts: the samples of rows and of direct light have nothing in common
 UNEVEN = 8  # times as many places on patches near a source
@@ -37,7 +36,7 @@ SHADOW_MORE = 12  # where some of them got through and some did not
 def trace_rows(kernel, sides, rays, seed):
     """{"hits": (K, rays) int32} sides met by rays from patch sides (K,), -1 where a ray escaped."""
     hits = np.empty((len(sides), rays), np.int32)
-    for part in blocks(len(sides), rays):
+    for part in runs(len(sides), rays):
         position, normal, direction = _row_rays(kernel, sides[part], rays, seed)
         origin = kernel.caster.start(position, normal).reshape(-1, 3)
         hits[part] = kernel.hits(origin, direction.reshape(3, -1).T).side.reshape(-1, rays)
@@ -49,7 +48,7 @@ def guide_rows(kernel, sides, rays, seed, light):
     (K,), by so many rays over the hemisphere and as many guided ones."""
     guided = np.empty((len(light), len(sides)))
     light = np.column_stack([light[:, kernel.guide.order], np.zeros(len(light))])  # of all others
-    for part in blocks(len(sides), 2 * rays):
+    for part in runs(len(sides), 2 * rays):
         own = sides[part]
         position, normal, direction = _row_rays(kernel, own, rays, seed)
         aim = Aim(kernel.guide, kernel.patches.centroid[own >> 1], normal[:, 0])
@@ -179,13 +178,13 @@ def light_patches(kernel, sides, samples, seed):
         for values, new in zip(edges, edge):
             values[chosen] = new
 
-    for part in blocks(len(sides), samples):
+    for part in runs(len(sides), samples):
         light(number[part], samples)
     again = np.flatnonzero(uneven)
-    for part in blocks(len(again), UNEVEN * samples):
+    for part in runs(len(again), UNEVEN * samples):
         light(again[part], UNEVEN * samples)
     if kernel.crowd is not None:
-        for part in blocks(len(sides), CROWDED * samples):
+        for part in runs(len(sides), CROWDED * samples):
             direct[:, part] += _crowd(kernel, sides[part], CROWDED * samples, seed)
     there = np.flatnonzero(edges[0] >= 0)
     return {

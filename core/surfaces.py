@@ -187,7 +187,7 @@ def _bounded(values, share=True):
 
 def _coverage(scene, patches, alpha):
     """(N,) mean alpha of patches."""
-    triangle, uv = _spread(patches, np.flatnonzero((alpha.kind > 0) & scene.usable))
+    triangle, uv = _places_on(patches, np.flatnonzero((alpha.kind > 0) & scene.usable))
     coverage = np.ones((len(patches), 1))
     _set_means(scene, patches, triangle, uv, alpha.at(triangle, uv[:, 0], uv[:, 1])[:, None], coverage)
     return coverage[:, 0]
@@ -200,7 +200,7 @@ def _paint(scene, patches, reflectance, exitance, alpha):
     if textured:
         material = scene.polygon_material[scene.triangle_polygon]
         mine = np.flatnonzero(np.isin(material, textured) & scene.usable)
-        triangle, uv = _spread(patches, mine)
+        triangle, uv = _places_on(patches, mine)
         values = np.empty((len(triangle), 3))
         for k in textured:
             m, chosen = scene.materials[k], material[triangle] == k
@@ -219,7 +219,7 @@ def _paint(scene, patches, reflectance, exitance, alpha):
         np.minimum(reflectance, LARGEST_REFLECTANCE, out=reflectance)
 
 
-def _spread(patches, triangles):
+def _places_on(patches, triangles):
     """Places spread over triangles (T',), more where they are cut into more patches: triangle (S,), uv (S, 2)."""
     count = SAMPLES * patches.cells_around(triangles)
     owner, number = counted(count)

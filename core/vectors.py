@@ -85,9 +85,17 @@ def counted(count):
     return owner, np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
 
 
-def runs(count):
-    """Slices that cut `count` items into runs, so that nothing as long as all of them need be made."""
-    return [slice(k, min(k + RUN, count)) for k in range(0, count, RUN)]
+def runs(count, each=1, most=RUN):
+    """Slices that cut `count` items into runs, so that nothing as long as all of them need be made: of at most `most`, if
+    each item counts as `each`, and of one at least."""
+    size = max(most // max(each, 1), 1)
+    return [slice(k, min(k + size, count)) for k in range(0, count, size)]
+
+
+def doubled_areas(place):
+    """(K,) twice the signed areas of triangles (K, 3, 2) in the plane."""
+    a, b = place[:, 1] - place[:, 0], place[:, 2] - place[:, 0]
+    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
 
 
 def numbered(rows):
