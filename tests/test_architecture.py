@@ -55,6 +55,14 @@ def test_imports_go_one_way():
                 assert CHAIN.index(node.module) < CHAIN.index(path.stem), f"{path.stem} imports {node.module}"
 
 
+def test_the_readme_tells_where_to_look_by_modules_that_there_are():
+    how = re.search(r"^## How it works\n.*?(?=^## )", (ROOT / "README.md").read_text(), re.MULTILINE | re.DOTALL)[0]
+    named = [name for row in re.findall(r"^\|.*\|(.*)\|$", how, re.MULTILINE) for name in re.findall("`(.*?)`", row)]
+    assert len(named) > 40
+    assert len(set(named)) == len(named)
+    assert set(named) <= set(CHAIN)
+
+
 @pytest.mark.parametrize("path", CORE, ids=lambda p: p.stem)
 def test_core_keeps_to_functions_with_the_same_bits_everywhere(path):
     """No BLAS, no SIMD transcendentals in the core; a picture is not light and may use what it likes."""
