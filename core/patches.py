@@ -459,7 +459,7 @@ def _cut_cells(facet, grid):
     # A cell that the triangle cuts along a diagonal is a triangle itself; others are clipped, and taken as fans.
     beyond = out.argmax(axis=1)
     across = np.abs(np.take_along_axis(inside, np.array([(1, 3), (0, 2), (1, 3), (0, 2)])[beyond][..., None], axis=1))
-    half = held & (out.sum(axis=1) == 1) & (across.min(axis=2) < 1e-6).all(axis=1)
+    half = held & (out.sum(axis=1) == 1) & (across < 1e-6).all(axis=1).any(axis=1)  # both corners on one edge
     opposite = (beyond[half] + 2) % 4
     right = np.stack([corner[half, 0] + CELL[(opposite + k) % 4] for k in (0, 1, 3)], axis=1)
     rim = np.flatnonzero(held & ~full & ~half)
