@@ -23,6 +23,12 @@ from .progress import Bar, say, summary
 from .scene_command import NO_SCENE, complain, exit_code
 from .state_file import Origin, state_to_go_on, write_state
 
+OPTIONS = (  # that the command line has in the words of a Job's
+    "layers", "cells", "shared", "schedule", "strict", "target", "occlusion_distance", "groups", "mesh", "max_edge",
+    "min_edge", "contrast", "vertices", "in_place", "bytes", "channel", "texels_per_meter", "size", "uv", "atlas",
+    "padding", "image",
+)  # fmt: skip
+
 
 def add(commands):
     """Add the command's parser to `commands`."""
@@ -158,8 +164,42 @@ def _bake_files(scenes, arguments, cells, start_seconds):
 
 def _bake_file(places, arguments, cells, start_seconds):
     """Bake one file. Raises exceptions that `told` puts in one clear line."""
-    source, output, kept = places.source, places.output, places.state
-    if kept and arguments.schedule == "paper":
+    _check(places, arguments)
+    if not places.opened:
+        open_file(places.source)
+    written_by = tuple(bpy.data.version)
+    made_from = None
+    if arguments.keep_going:
+        name = os.path.basename(places.source)
+        if is_result():
+            say(f"{name}: is itself the result of a bake; left as it is")
+            return
+        made_from = origin(places.source, arguments)
+        if all(map(os.path.exists, places.written)) and finished(places.output, made_from):
+            say(f"{name}: was baked before and is unchanged; {places.output}")
+            return
+
+    kept, context, options = places.state, context_of(arguments), _options(arguments, places.output)
+    state = state_to_go_on(kept, options) if kept else None
+    keep = partial(_keep, kept, Origin(places.source, arguments.scene, arguments.frame, options)) if kept else None
+    with silent():
+        job = Job(context, options, cells, start_seconds, state=state)
+    try:
+        stopped, unkept = _bake_until_stopped(job, arguments.quiet, keep)
+        _write(places, context, job, made_from if not stopped else None)
+    finally:
+        job.close()
+    if not arguments.quiet:
+        _tell(places, job.result, written_by, f" after what {kept} held" if state else "")
+    if unkept:
+        raise Refused(f"{unkept}; {places.output} is complete")
+    if stopped:
+        raise KeyboardInterrupt
+
+
+def _check(places, arguments):
+    """Raise Refused if what is asked for does not go together."""
+    if places.state and arguments.schedule == "paper":
         raise Refused("--state: the paper's schedule keeps no rows to go on from; leave out one of the two")
     if arguments.target == "lightmap" and arguments.mesh == "subdivide":
         raise Refused("--mesh subdivide is for vertex colors: a lightmap needs no finer mesh; leave out one of the two")
@@ -167,79 +207,41 @@ def _bake_file(places, arguments, cells, start_seconds):
         kind_of(places.export)
         if arguments.target == "lightmap":
             raise Refused("--export writes vertex colors: leave out --target lightmap")
-    if not places.opened:
-        open_file(source)
-    written_by = tuple(bpy.data.version)
-    if arguments.keep_going and is_result():
-        say(f"{os.path.basename(source)}: is itself the result of a bake; left as it is")
-        return
-    made_from = origin(source, arguments) if arguments.keep_going else None
-    if made_from and all(map(os.path.exists, places.written)) and finished(output, made_from):
-        say(f"{os.path.basename(source)}: was baked before and is unchanged; {output}")
-        return
-    context = context_of(arguments)
-    options = make_options(
-        arguments,
-        layers=arguments.layers,
-        domain=arguments.domain.upper(),
-        cells=arguments.cells,
-        shared=arguments.shared,
-        schedule=arguments.schedule,
-        strict=arguments.strict,
-        output=output,
-        target=arguments.target,
-        occlusion_distance=arguments.occlusion_distance,
-        groups=arguments.groups,
-        mesh=arguments.mesh,
-        max_edge=arguments.max_edge,
-        min_edge=arguments.min_edge,
-        contrast=arguments.contrast,
-        vertices=arguments.vertices,
-        in_place=arguments.in_place,
-        bytes=arguments.bytes,
-        exposure=("auto" if arguments.bytes else 0.0) if arguments.exposure is None else arguments.exposure,
-        channel=arguments.channel,
-        texels_per_meter=arguments.texels_per_meter,
-        size=arguments.size,
-        uv=arguments.uv,
-        atlas=arguments.atlas,
-        padding=arguments.padding,
-        image=arguments.image,
-    )
-    state = state_to_go_on(kept, options) if kept else None
-    with silent():
-        job = Job(context, options, cells, start_seconds, state=state)
-    keep = partial(_keep, kept, Origin(source, arguments.scene, arguments.frame, options)) if kept else None
-    try:
-        stopped, unkept = _bake_until_stopped(job, arguments.quiet, keep)
-        with silent():
-            job.write(context)
-        if made_from and not stopped:
-            note(made_from)
-        save_file(output, source)
-        if places.export:
-            with silent():
-                export_scene(context, places.export, arguments.layers[0])
-        if places.picture:
-            from .picture import save_picture
 
-            save_picture(context, job.result, places.picture, job.output.picture(job.result))
-        if places.report:
-            write_json(job.report(source), places.report)
-    finally:
-        job.close()
-    if not arguments.quiet:
-        for finding in job.result.survey.health:
-            say(f"{finding.object}: {finding.finding}; {finding.action}")
-        if bpy.app.version >= (5, 0, 0) > written_by:
-            new = ".".join(map(str, bpy.app.version[:2]))
-            say(f"{output} has the file format of Blender {new}: Blenders before 4.5 cannot open it")
-        went_on = f" after what {kept} held" if state else ""
-        say(f"{os.path.basename(source)}: {summary(job.result)}{went_on}; saved {output}")
-    if unkept:
-        raise Refused(f"{unkept}; {output} is complete")
-    if stopped:
-        raise KeyboardInterrupt
+
+def _options(arguments, output):
+    """The Options of a command line."""
+    exposure = ("auto" if arguments.bytes else 0.0) if arguments.exposure is None else arguments.exposure
+    same = {name: getattr(arguments, name) for name in OPTIONS}
+    return make_options(arguments, **same, domain=arguments.domain.upper(), exposure=exposure, output=output)
+
+
+def _write(places, context, job, made_from):
+    """Write all that is asked for of a Job whose bake is done; made_from: what the output notes that it was, or None."""
+    with silent():
+        job.write(context)
+    if made_from:
+        note(made_from)
+    save_file(places.output, places.source)
+    if places.export:
+        with silent():
+            export_scene(context, places.export, job.options.layers[0])
+    if places.picture:
+        from .picture import save_picture
+
+        save_picture(context, job.result, places.picture, job.output.picture(job.result))
+    if places.report:
+        write_json(job.report(places.source), places.report)
+
+
+def _tell(places, result, written_by, went_on):
+    """Say what was found, and how the bake of a file ended. written_by: the version of Blender that saved it."""
+    for finding in result.survey.health:
+        say(f"{finding.object}: {finding.finding}; {finding.action}")
+    if bpy.app.version >= (5, 0, 0) > written_by:
+        new = ".".join(map(str, bpy.app.version[:2]))
+        say(f"{places.output} has the file format of Blender {new}: Blenders before 4.5 cannot open it")
+    say(f"{os.path.basename(places.source)}: {summary(result)}{went_on}; saved {places.output}")
 
 
 def _bake_until_stopped(job, quiet, keep):
