@@ -55,10 +55,14 @@ SOLVED = 0.25  # of the error asked for: a known transport whose bound is below 
 
 @dataclass(frozen=True)
 class Progress:
-    """Where a bake stands. phase: "survey", "patches", "transport", "gather" or "error". done: share of the phase,
-    0..1. round, bound: of the transport. points: gathered so far. rays: cast so far. seconds: since the bake began.
-    left: seconds, a guess. error: estimated so far. take(): the Bake as it stands, as long as it has not gone on; None
-    before there is light. state(): the State as it stands, to carry the bake on from; None before there are patches."""
+    """Where a bake stands.
+
+    phase: "survey", "patches", "transport", "gather" or "error". done: share of the phase, 0..1.
+    seconds: since the bake began. left: seconds, a guess. rays: cast so far.
+    round, bound: of the transport. points: gathered so far. error: estimated so far.
+    take(): the Bake as it stands, as long as it has not gone on; None before there is light.
+    state(): the State as it stands, to carry the bake on from; None before there are patches.
+    """
 
     phase: str
     done: float
@@ -75,11 +79,17 @@ class Progress:
 
 @dataclass(frozen=True)
 class Bake:
-    """A finished bake, or one as it stands: every record of its path, seconds by phase, CPU seconds, and what the cells
-    used. estimate: of its error. converged: the error asked for was reached. floor: it was reached by the cheapest way.
-    price: tuple of Price, after the pilot. groups: light groups, if they were asked for, and by_group: a Light with a
-    channel for each group's. openness: (P,) 1 less ambient occlusion, if it was asked for. factors: (G, 3) by which the
-    groups' strengths were changed, None for none. state(): the State, to carry it on from."""
+    """A finished bake, or one as it stands: every record of its path, and what it took.
+
+    scene: the one that is written. settings: as they came to be.
+    estimate: of its error. converged: the error asked for was reached. floor: it was reached by the cheapest way.
+    price: tuple of Price, after the pilot.
+    seconds: by phase, and CPU seconds. rays: cast in all. cells: what they used.
+    groups: light groups, if they were asked for. by_group: a Light with a channel for each group's.
+    factors: (G, 3) by which the groups' strengths were changed, None for none.
+    openness: (P,) 1 less ambient occlusion, if it was asked for.
+    state(): the State, to carry it on from.
+    """
 
     scene: Scene
     settings: Settings

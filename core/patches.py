@@ -37,16 +37,20 @@ THIN = 1e-12  # least area of a triangle, in the square that holds its facet, th
 class Patches:
     """N patches, as arrays.
 
-    area: (N,) float64 [m^2]. normal: (N, 3) unit. centroid: (N, 3) [m]. polygon: (N,) int32 of the scene, the first of
-    a cluster. flatness: (N,) 1 where all elements face the same way, less where they turn. element_start: (N + 1,)
-    int32, patch p owns elements element_start[p] to element_start[p + 1]. element_frame: (M, 3, 3) float64 origin and
-    two edges of each element [m]; element_square: (M,) bool, it is the parallelogram over the two edges, not the
-    triangle; element_area: (M,) [m^2]. triangle_cell: (T,) int32 first cell of the grid that a triangle lies in, and
-    triangle_map: (T,) int32 the row of maps: (K, 8) float32 that tells its place there, (s0, su, sv, t0, tu, tv,
-    columns, rows): a hit (u, v) lies in column floor(s0 + su u + sv v) and row floor(t0 + tu u + tv v). Row 0 is that
-    of all grids of a single cell. cell_patch: (G,) int32 patch of a cell; of a cell that is cut, -1 - q. cut_plane: (Q,
-    CUTS, 4) planes (normal, offset) that cut it; cut_patch: (Q, 2^CUTS) int32 patch of each piece, by the planes that
-    it lies in front of (1 for the first, 2 for the second, 4 for the third).
+    area: (N,) float64 [m^2]. normal: (N, 3) unit. centroid: (N, 3) [m].
+    polygon: (N,) int32 of the scene, the first of a cluster.
+    flatness: (N,) 1 where all elements face the same way, less where they turn.
+    element_start: (N + 1,) int32, patch p owns elements element_start[p] to element_start[p + 1].
+    element_frame: (M, 3, 3) float64 origin and two edges of each element [m]. element_area: (M,) [m^2].
+    element_square: (M,) bool, it is the parallelogram over the two edges, not the triangle.
+    triangle_cell: (T,) int32 first cell of the grid that a triangle lies in.
+    triangle_map: (T,) int32 the row of maps that tells its place there.
+    maps: (K, 8) float32 (s0, su, sv, t0, tu, tv, columns, rows): a hit (u, v) lies in column floor(s0 + su u + sv v) and
+        row floor(t0 + tu u + tv v). Row 0 is that of all grids of a single cell.
+    cell_patch: (G,) int32 patch of a cell; of a cell that is cut, -1 - q.
+    cut_plane: (Q, CUTS, 4) planes (normal, offset) that cut it.
+    cut_patch: (Q, 2^CUTS) int32 patch of each piece, by the planes that it lies in front of (1 for the first, 2 for the
+        second, 4 for the third).
     """
 
     area: np.ndarray

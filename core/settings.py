@@ -18,17 +18,20 @@ SCHEDULES = ("dynamic", "paper")
 class Settings:
     """Knobs of a bake.
 
-    error: the relative error asked for. per_object: of every object that is not too dark, not of the whole alone. seed:
-    of all sample sequences. patch_edge: longest edge of a patch, as a share of the scene's focus, and if graded of a
-    polygon that is larger than that, and less beside sources; None makes every polygon one patch. row_rays: of a
-    form-factor row. patch_samples: places on a patch where its direct light is tested. light_samples: times as many
-    test rays toward sources as usual, at patches and points. bounces: of light at most; what more of them would bring
-    is in no bound; None: all. gather_rays: of a point; None gathers until the error is reached. pilot_rays: of each of
-    the first replicates. side: whose light is asked for, of each face: "front", "back" or "lit" (the one that gets
-    more). schedule: "dynamic" or "paper"; rows: "rays" or "analytic", the estimator of form-factor rows. force: effects
-    that are simulated although nothing calls for them. memory: what host and cells together may use [bytes]. seconds: a
-    bake may take, in place of an error to reach; None: any. occlusion: distance within which ambient occlusion counts
-    [m]; None finds none.
+    error: the relative error asked for. per_object: of every object that is not too dark, not of the whole alone.
+    seed: of all sample sequences.
+    patch_edge: longest edge of a patch, as a share of the scene's focus; None makes every polygon one patch.
+    graded: patches of a polygon that is larger than that may be as long a share of it, and are shorter beside sources.
+    row_rays: of a form-factor row. patch_samples: places on a patch where its direct light is tested.
+    light_samples: times as many test rays toward sources as usual, at patches and points.
+    bounces: of light at most; what more of them would bring is in no bound; None: all.
+    gather_rays: of a point; None gathers until the error is reached. pilot_rays: of each of the first replicates.
+    seconds: a bake may take, in place of an error to reach; None: any.
+    schedule: "dynamic" or "paper". rows: "rays" or "analytic", the estimator of form-factor rows.
+    memory: what host and cells together may use [bytes].
+    side: whose light is asked for, of each face: "front", "back" or "lit" (the one that gets more).
+    occlusion: distance within which ambient occlusion counts [m]; None finds none.
+    force: effects that are simulated although nothing calls for them.
     """
 
     error: float = PRESETS["good"]
