@@ -73,60 +73,78 @@ def _look(context, options):
         if object.type not in SOLID | LIGHTS or object in copies or (object.is_instancer and object.type not in SOLID):
             continue
         copy = copies_of.get(object.name) if object.hide_render and not object.library else None
-        if copy is None:
-            if object.hide_render or object.session_uid not in rendered:
-                say(object, "it is not rendered", "it is left out: it casts neither light nor shadow")
-                continue
-            if not object.visible_get():
-                say(object, "it is hidden in the viewport", "it is left out: it casts neither light nor shadow")
-                continue
+        if copy is None and not _takes_part(object, rendered, say):
+            continue
         names.append(object.name)
         shapes += object.type in SOLID
         light |= object.type == "LIGHT" or _may_shine(object)
-        if object.type != "MESH":
+        if object.type != "MESH" or (wanted is not None and not wanted(object.name)):
             continue
-        if wanted is not None and not wanted(object.name):
+        if not _is_written(object, users, options, say):
             continue
-        mesh = object.data
-        if object.library or not mesh.is_editable:
-            say(object, "its mesh is linked from another file", "its light is not written: make it local to bake it")
-            continue
-        if users[mesh] > 1:
-            if options.shared == "skip":
-                say(object, f"its mesh is shared by {users[mesh]} objects", "its light is not written")
-                continue
-            say(object, f"its mesh is shared by {users[mesh]} objects", "it gets a mesh of its own")
-        if object.mode == "EDIT":
-            say(object, "it is in Edit Mode", "leave Edit Mode to bake")
-        taken = [layer for layer in options.layers if layer in mesh.attributes and layer not in made_layers(mesh)]
-        if taken:
-            say(object, f"it has an attribute {taken[0]!r} that no bake made", "rename it, or leave out that layer")
         evaluated = (copy or object).evaluated_get(depsgraph).data
         # What is being edited, or has stepped aside for a copy that anything may have made, is not looked at as it renders.
         if object.mode == "EDIT" or (copy is not None and not any(m.show_render for m in object.modifiers)):
-            evaluated = mesh
-        if len(evaluated.loops) != len(mesh.loops):
+            evaluated = object.data
+        if len(evaluated.loops) != len(object.data.loops):
             say(object, "its modifiers change its faces", f"its light is written to a copy, '{object.name}_radiosity'")
         else:
             own.append(object)
         objects += 1
         corners += len(evaluated.loops)
-    problem = ""
-    if not shapes:
-        problem = "There is no mesh to bake"
-    elif not objects:
-        problem = (
-            "No object is selected" if options.objects == NOTHING else "There is no mesh that light can be written to"
-        )
-    elif not light:
-        problem = "Nothing gives light: add a lamp, an emitting material or a world color"
     needed = make_output(options).copies(own)
-    if needed.bytes > options.budget:
-        gigabytes = f"{needed.bytes / 1e9:.1f} GB, more than the {options.budget / 1e9:.1f} GB that may be used"
-        problem = (
-            f"{needed.count} copies of shared meshes take {gigabytes}: write to fewer objects, or skip shared meshes"
-        )
+    problem = _too_many(needed, options) or _nothing_to_do(shapes, objects, light, options)
     return Preflight(objects, corners, needed, tuple(findings), problem, tuple(names))
+
+
+def _takes_part(object, rendered, say):
+    """Whether an object takes part in a bake; rendered: those that do. say(object, finding, action) is told what needs a
+    word."""
+    if object.hide_render or object.session_uid not in rendered:
+        say(object, "it is not rendered", "it is left out: it casts neither light nor shadow")
+        return False
+    if not object.visible_get():
+        say(object, "it is hidden in the viewport", "it is left out: it casts neither light nor shadow")
+        return False
+    return True
+
+
+def _is_written(object, users, options, say):
+    """Whether the light of a mesh object is written. users: of each mesh; say: see `_takes_part`."""
+    mesh = object.data
+    if object.library or not mesh.is_editable:
+        say(object, "its mesh is linked from another file", "its light is not written: make it local to bake it")
+        return False
+    if users[mesh] > 1:
+        if options.shared == "skip":
+            say(object, f"its mesh is shared by {users[mesh]} objects", "its light is not written")
+            return False
+        say(object, f"its mesh is shared by {users[mesh]} objects", "it gets a mesh of its own")
+    if object.mode == "EDIT":
+        say(object, "it is in Edit Mode", "leave Edit Mode to bake")
+    taken = [layer for layer in options.layers if layer in mesh.attributes and layer not in made_layers(mesh)]
+    if taken:
+        say(object, f"it has an attribute {taken[0]!r} that no bake made", "rename it, or leave out that layer")
+    return True
+
+
+def _nothing_to_do(shapes, objects, light, options):
+    """Why there is nothing to bake, or "": how many solid objects take part, how many are written, whether any light may be."""
+    if not shapes:
+        return "There is no mesh to bake"
+    if not objects and options.objects == NOTHING:
+        return "No object is selected"
+    if not objects:
+        return "There is no mesh that light can be written to"
+    return "" if light else "Nothing gives light: add a lamp, an emitting material or a world color"
+
+
+def _too_many(needed, options):
+    """Why the Copies of shared meshes are too many for the memory that may be used, or ""."""
+    if needed.bytes <= options.budget:
+        return ""
+    gigabytes = f"{needed.bytes / 1e9:.1f} GB, more than the {options.budget / 1e9:.1f} GB that may be used"
+    return f"{needed.count} copies of shared meshes take {gigabytes}: write to fewer objects, or skip shared meshes"
 
 
 def _world_shines(scene):
