@@ -222,7 +222,7 @@ def _write(places, context, job, made_from):
         job.write(context)
     if made_from:
         note(made_from)
-    save_file(places.output, places.source)
+    save_file(places.output)
     if places.export:
         with silent():
             export_scene(context, places.export, job.options.layers[0])

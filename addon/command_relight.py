@@ -55,7 +55,7 @@ def run_relight(arguments):
         job.relight(factors)
         with silent():
             job.write(context)
-        save_file(output, source)
+        save_file(output)
     finally:
         job.close()
     if not arguments.quiet:

@@ -95,7 +95,7 @@ def context_of(arguments):
     return context
 
 
-def save_file(output, source):
+def save_file(output):
     """Save the open file as `output`, whole or not at all."""
     with writing(output, ".blend") as temporary, silent():
         bpy.ops.wm.save_as_mainfile(filepath=temporary, copy=True, check_existing=False)

@@ -8,8 +8,6 @@ from fnmatch import fnmatchcase
 from math import inf
 from time import perf_counter
 
-import bpy
-
 from ..core.bake import Progress, bake, price, relit, restored, run
 from ..core.cells import make_cells
 from ..core.effects import survey
@@ -20,6 +18,7 @@ from ..core.report import make_report
 from ..core.settings import Settings
 from ..core.state import StateError
 from .errors import Refused, check_memory
+from .lookup import Lookup
 from .outputs import found_layers, grouping, make_output
 from .read_scene import NOT_WRITTEN, reading_scene
 from .steps import aside
@@ -201,14 +200,15 @@ class Job:
         self.scene = yield from aside(step, mend, self.scene)
         self._refuse(self.scene.health)
         check_scene(self.scene, self.targets, self.options)
-        self._check_copies()
+        self._check_copies(context.scene)
         self.output.read(context, self.scene, self.targets)
         self._group_of = grouping(context, self.options)
         self._read_seconds = perf_counter() - begun
 
-    def _check_copies(self):
+    def _check_copies(self, scene):
         """Find what meshes of their own take in place of shared ones. Raises Refused if that is more than there is."""
-        self.copies = self.output.copies([bpy.data.objects[t.object] for t in self.targets if t.same])
+        lookup = Lookup(scene)
+        self.copies = self.output.copies([lookup.target(t) for t in self.targets if t.same])
         took = (
             f"{self.copies.largest}: {self.copies.count} copies of shared meshes take {self.copies.bytes / 1e9:.3g} GB"
         )

@@ -37,14 +37,6 @@ def unmark_layers(mesh):
         del mesh[KEY]
 
 
-def own_object(scene, name):
-    """The object of a name in a scene that is the file's own, whatever is linked under the same name; None if there is none."""
-    found = scene.objects.get(name)
-    if found is None or found.library is None:
-        return found
-    return next((o for o in scene.objects if o.name == name and o.library is None), None)
-
-
 def stand_ins(scene):
     """The copies in a scene that hold the results of other objects of it. A copy whose original is gone, or goes by another
     name, or that is linked from another file, is none: it is an object like any other."""
@@ -52,21 +44,21 @@ def stand_ins(scene):
     return [o for o in scene.objects if is_made(o) and not o.library and o.get(f"{KEY}_of") in names]
 
 
-def hide(scene, names, hidden):
-    """Hide objects of a scene in renders and views, or show them."""
-    for name in names:
-        object = own_object(scene, name)
-        if object is not None:
-            object.hide_render = object.hide_viewport = hidden
+def hide(objects, hidden):
+    """Hide objects in renders and views, or show them."""
+    for object in objects:
+        object.hide_render = object.hide_viewport = hidden
 
 
 @contextlib.contextmanager
 def originals_shown(scene):
     """While a scene is read, show the objects that are hidden because a copy holds their result."""
     names = {o[f"{KEY}_of"] for o in stand_ins(scene)}
-    hidden = [o.name for o in scene.objects if o.name in names and o.library is None]
+    hidden = [o for o in scene.objects if o.name in names and o.library is None]
+    numbers = {o.session_uid for o in hidden}
     try:
-        hide(scene, hidden, False)
+        hide(hidden, False)
         yield
     finally:
-        hide(scene, hidden, True)
+        if numbers:  # some of them, or the scene, may be gone by now
+            hide([o for o in scene.objects if o.session_uid in numbers], True)

@@ -16,6 +16,7 @@ from . import material_setup
 from .errors import Refused
 from .export import KINDS, export_scene
 from .job import Job
+from .lookup import Lookup
 from .marks import made_layers, stand_ins, unmark_layers
 from .preferences import preference
 from .preflight import price_key
@@ -481,7 +482,7 @@ class RADIOSITY_OT_clear(_OfResult, bpy.types.Operator):
     @writing
     def execute(self, context):
         material_setup.take_out(material_setup.with_set_up())
-        remove_copies(context.scene, stand_ins(context.scene))
+        remove_copies(Lookup(context.scene), stand_ins(context.scene))
         for mesh in baked_meshes(context.scene):
             for name in made_layers(mesh):
                 attribute = mesh.color_attributes.get(name)

@@ -28,6 +28,7 @@ from ..core.state import ANEW
 from ..core.subdivide import Fitting, fit_mesh, longest_edge, remeshed
 from .errors import Refused, check_memory
 from .images import file_names, image_path, make_image
+from .lookup import Lookup
 from .remesh import carried_by, carry, make_mesh, piece_of
 from .shown import forget_others, show
 from .write_result import (
@@ -36,10 +37,9 @@ from .write_result import (
     copies_of_shared,
     copy_names,
     copy_with,
+    deleted,
     drop_sources,
     make_room,
-    object_of,
-    own_mesh,
     result_copies,
     source_meshes,
     source_of,
@@ -68,11 +68,12 @@ class VertexColors:
     def read(self, context, scene, targets):
         """Check, before any work, that nothing of the user's is in the way, and that what is to be filled is there."""
         names = [name for name, _, _ in layers_of(self.options, groups_of_scene(context, scene, self.options))]
-        check_names(targets, (*names, *(map(coded, names) if self.options.bytes else ())))
+        lookup = Lookup(context.scene)
+        check_names(lookup, targets, (*names, *(map(coded, names) if self.options.bytes else ())))
         if self.options.channel:
             name = self.options.channel[0]
             for target in targets:
-                colors = bpy.data.objects[target.object].data.color_attributes
+                colors = lookup.target(target).data.color_attributes
                 if name not in colors:
                     there = ", ".join(c.name for c in colors) or "none"
                     raise Refused(f"{target.object}: it has no color attribute {name!r} (it has: {there})")
@@ -113,9 +114,9 @@ class VertexColors:
             context, self.colors, targets, self.options.domain, self.encoded, self.channel, step, self._remade
         )
         if self.options.bytes:
-            copies = result_copies(context.scene)
+            lookup, copies = Lookup(context.scene), result_copies(context.scene)
             for target in targets:
-                for object in (object_of(context.scene, target), copies.get(target.object)):
+                for object in (lookup.target(target), copies.get(target.object)):
                     if object is not None:
                         object.data[EXPOSURE] = self.exposure
         return findings
@@ -150,34 +151,43 @@ class FinerColors(VertexColors):
     def writing(self, context, targets, step=inf):
         """Write, in steps; returns Findings."""
         findings, fits = [], []
-        sources = yield from source_meshes(context, targets)
+        sources = yield from source_meshes(context, targets, step)
+        lookup = Lookup(context.scene)
         if not self.options.in_place:
-            make_room(context.scene, targets, sources, copy_names(context.scene))
+            make_room(lookup, targets, sources, copy_names(context.scene))
         for target in targets:
-            yield
-            source = source_of(context.scene, target, sources)
+            if lookup.over(step):
+                yield
+                lookup = Lookup(context.scene)
+            source = source_of(lookup, target, sources)
             if isinstance(source, Finding):
                 findings.append(source)
                 continue
             piece = piece_of(self._coarse, self.remesh, target)
             mesh = make_mesh(source, source.name, piece)
-            object = object_of(context.scene, target)
+            object = lookup.target(target)
             former, carried = object.data, carried_by(object)
             if self.options.in_place:
                 findings += self._replace_mesh(object, mesh)
                 holder = object
             else:
-                holder = copy_with(context.scene, target, mesh)
+                holder = copy_with(lookup, target, mesh)
             carry(holder, carried, source, piece)
             if self.options.in_place and former.users == 0:
                 name = former.name
                 bpy.data.meshes.remove(former)
                 mesh.name = name
-            fits.append(replace(target, object=holder.name, first=0, last=len(piece.index), corner=piece.index))
+            fits.append(replace(target, uid=holder.session_uid, first=0, last=len(piece.index), corner=piece.index))
         drop_sources(sources)
         for fit in fits:
-            yield
-            self._write(context, fit)
+            if lookup.over(step):
+                yield
+                lookup = Lookup(context.scene)
+            holder = lookup.target(fit)
+            if holder is None:
+                findings.append(deleted(fit))
+            else:
+                self._write(holder.data, fit)
         return tuple(findings)
 
     def _replace_mesh(self, object, mesh):
@@ -189,9 +199,8 @@ class FinerColors(VertexColors):
         object.modifiers.clear()
         return [Finding(object.name, f"it had {what}", "they were applied: its mesh is finer than they know")]
 
-    def _write(self, context, fit):
+    def _write(self, mesh, fit):
         """Write the layers of one finer mesh."""
-        mesh = bpy.data.objects[fit.object].data
         colors = {layer: values[fit.corner] for layer, values in self.colors.items()}
         channel = self.channel and (*self.channel[:2], self.channel[2][fit.corner])
         write_layers(mesh, colors, self.options.domain, self.encoded, channel)
@@ -215,14 +224,16 @@ class Lightmaps:
             self._uv = np.zeros((len(scene.corner_vertex), 2))
             sources = run(source_meshes(context, targets))
             try:
+                lookup = Lookup(context.scene)
                 for target in targets:
-                    self._read_uv(target, own_mesh(sources[target.object]))
+                    self._read_uv(target, lookup.mesh(sources[target.object]))
             finally:
                 drop_sources(sources)
             return
-        check_names(targets, (UV_MAP,))
+        lookup = Lookup(context.scene)
+        check_names(lookup, targets, (UV_MAP,))
         for target in targets:
-            if len(bpy.data.objects[target.object].data.uv_layers) >= MOST_UV_MAPS:
+            if len(lookup.target(target).data.uv_layers) >= MOST_UV_MAPS:
                 raise Refused(f"{target.object}: it has 8 UV maps, as many as there can be; remove one")
 
     def _read_uv(self, target, mesh):
@@ -324,15 +335,18 @@ class Lightmaps:
                     copies.append(make_image(f"{name}_{coded(layer)}", encoded, path, "byte"))
                     copies[-1][EXPOSURE] = self.exposure
         remesh = None if self._uv is not None else triangulated(self.scene)
-        findings, sources = [], (yield from source_meshes(context, targets))
-        make_room(context.scene, targets, sources, copy_names(context.scene))
+        findings, sources = [], (yield from source_meshes(context, targets, step))
+        lookup = Lookup(context.scene)
+        make_room(lookup, targets, sources, copy_names(context.scene))
         for target in targets:
-            yield
-            source = source_of(context.scene, target, sources)
+            if lookup.over(step):
+                yield
+                lookup = Lookup(context.scene)
+            source = source_of(lookup, target, sources)
             if isinstance(source, Finding):
                 findings.append(source)
                 continue
-            copy = self._copy(context.scene, target, source, remesh)
+            copy = self._copy(lookup, target, source, remesh)
             number = self._image_of(target)
             if number is not None:
                 show(copy, (images[next(iter(self.images)), number], self.name))
@@ -348,13 +362,13 @@ class Lightmaps:
         )
         return int(self.atlas.image[triangles[0]]) if len(triangles) else None
 
-    def _copy(self, scene, target, source, remesh):
+    def _copy(self, lookup, target, source, remesh):
         """The copy of a target's object that holds its lightmap's UV map. source: its mesh as it is rendered."""
         if remesh is None:
-            return copy_with(scene, target, source)
+            return copy_with(lookup, target, source)
         piece = piece_of(self.scene, remesh, target)
-        copy = copy_with(scene, target, make_mesh(source, source.name, piece))
-        carry(copy, carried_by(object_of(scene, target)), source, piece)
+        copy = copy_with(lookup, target, make_mesh(source, source.name, piece))
+        carry(copy, carried_by(lookup.target(target)), source, piece)
         uv = np.zeros((len(self.scene.triangles), 3, 2))
         uv[self.atlas.triangle] = self.atlas.uv
         uv = uv[np.argsort(self.scene.triangle_polygon, kind="stable")].reshape(-1, 2)[piece.index]

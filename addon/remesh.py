@@ -69,7 +69,7 @@ def make_mesh(source, name, piece):
     """A new Blender mesh of a Piece. source: the mesh it is made of."""
     part, weight = piece.part, piece.part.corner_weight
     first = piece.first_corner
-    vertex = _values(source, ".corner_vert", "CORNER")[piece.corner]
+    vertex = _values(source, ".corner_vert")[piece.corner]
     of_vertex, of_corner = (vertex[first], weight[first]), (piece.corner, weight)
     polygon, count = piece.polygon, len(first)
 
@@ -79,7 +79,7 @@ def make_mesh(source, name, piece):
     mesh.vertices.add(count)
     mesh.loops.add(len(part.corner_vertex))
     mesh.polygons.add(len(polygon))
-    position = _mixed(_values(source, "position", "POINT"), *of_vertex)
+    position = _mixed(_values(source, "position"), *of_vertex)
     mesh.vertices.foreach_set("co", position.astype(np.float32).reshape(-1))
     mesh.polygons.foreach_set("loop_start", part.polygon_start[:-1].astype(np.int32))
     mesh.loops.foreach_set("vertex_index", part.corner_vertex.astype(np.int32))
@@ -123,7 +123,7 @@ def carry(object, carried, source, piece):
 
 def _carry_groups(object, groups, source, piece):
     first = piece.first_corner
-    vertex = _values(source, ".corner_vert", "CORNER")[piece.corner]
+    vertex = _values(source, ".corner_vert")[piece.corner]
     object.vertex_groups.clear()
     for name, locked in groups:
         object.vertex_groups.new(name=name).lock_weight = locked
@@ -158,7 +158,7 @@ def _keys_of(object):
 def _carry_keys(object, keys, source, piece):
     found, relative, time, animation = keys
     first = piece.first_corner
-    vertex = _values(source, ".corner_vert", "CORNER")[piece.corner][first]
+    vertex = _values(source, ".corner_vert")[piece.corner][first]
     for name, shape, settings, _ in found:
         block = object.shape_key_add(name=name, from_mix=False)
         values = _mixed(shape, vertex, piece.part.corner_weight[first]).astype(np.float32).reshape(-1)
@@ -180,7 +180,7 @@ def _carry_keys(object, keys, source, piece):
             own.drivers.from_existing(src_driver=driver)
 
 
-def _values(mesh, name, domain):
+def _values(mesh, name):
     """(K, n) or (K,) values of an attribute."""
     attribute = mesh.attributes[name]
     prop, size, dtype, _ = KINDS[attribute.data_type]
@@ -199,7 +199,7 @@ def _mixed(values, source, weight):
 def _carry(mesh, source, attribute, origin, weight):
     """Copy an attribute; origin: (K, n) elements of the source, -1 for none."""
     prop, _, dtype, mixes = KINDS[attribute.data_type]
-    values = _values(source, attribute.name, attribute.domain)
+    values = _values(source, attribute.name)
     made = mesh.attributes.get(attribute.name)
     if made is None:
         made = mesh.attributes.new(attribute.name, attribute.data_type, attribute.domain)

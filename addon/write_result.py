@@ -19,7 +19,8 @@ from ..core.health import Finding
 from ..core.layers import vertex_means
 from .errors import Refused
 from .images import BRIGHTEST
-from .marks import KEY, hide, made_layers, mark, mark_layers, originals_shown, own_object, stand_ins
+from .lookup import Lookup
+from .marks import KEY, hide, made_layers, mark, mark_layers, originals_shown, stand_ins
 from .material_setup import is_set_up
 from .steps import aside
 
@@ -31,10 +32,10 @@ VALUE_BYTES = {
 MANY = 20_000  # corners of a mesh from which on it is large: a layer of it takes some milliseconds
 
 
-def check_names(targets, layers):
+def check_names(lookup, targets, layers):
     """Raise Refused if an attribute or UV map of a layer's name exists that is not ours."""
     for target in targets:
-        mesh = bpy.data.objects[target.object].data
+        mesh = lookup.target(target).data
         for layer in layers:
             if layer in mesh.attributes and layer not in made_layers(mesh):
                 raise Refused(
@@ -49,31 +50,31 @@ def write_result(context, colors, targets, domain):
 
 
 def writing_result(context, colors, targets, domain, encoded=(), channel=None, step=inf, remade=None):
-    """`write_result` in steps of some `step` seconds: a generator that yields before each object, and before each layer
-    of a large one.
+    """`write_result` in steps of some `step` seconds: a generator that yields between objects, and before each layer of a
+    large one.
 
     encoded: names of the layers that are written as 8-bit colors. channel: (attribute, number of its channel, (C,)
     values), to be written into an attribute that is there. remade: the set of Blender's numbers for copies that this bake
     has made anew, which are added to it; all others are of an earlier one, whose modifiers may have made another shape.
     """
     findings, remade = [], set() if remade is None else remade
-    copies = copy_names(context.scene)
-    new = [t for t in targets if not t.same and not _kept(context.scene, t, copies, remade)]
-    sources = yield from source_meshes(context, new)
+    lookup, copies = Lookup(context.scene), copy_names(context.scene)
+    new = [t for t in targets if not t.same and not _kept(lookup, t, copies, remade)]
+    sources = yield from source_meshes(context, new, step)
     try:
-        make_room(context.scene, new, sources, copies)
+        lookup = Lookup(context.scene)
+        make_room(lookup, new, sources, copies)
         for target in targets:
-            yield
+            large = target.last - target.first > MANY
             # What needs no Blender comes first: in the turns that it takes the mesh may go.
-            own = yield from aside(step, _layers_of_target, target, colors, domain)
+            own = yield from aside(step if large else inf, _layers_of_target, target, colors, domain)
             filled = channel and (*channel[:2], _of_target(target, channel[2]))
             holder = None
             for layer in own:
-                if (
-                    holder is None or target.last - target.first > MANY
-                ):  # to find an object takes as long as to write a small one
+                if large or (holder is None and lookup.over(step)):
                     yield
-                    holder = _place(context.scene, target, copies, remade, sources)
+                    lookup, holder = Lookup(context.scene), None
+                holder = holder or _place(lookup, target, copies, remade, sources)
                 if isinstance(holder, Finding):
                     findings.append(holder)
                     break
@@ -132,14 +133,6 @@ def _size(mesh):
     return own + 4 * len(mesh.polygons) + 12 * keys * len(mesh.vertices)
 
 
-def object_of(scene, target):
-    """A target's object, whatever it is called by now; None if it is no longer in the scene."""
-    named = scene.objects.get(target.object)
-    if named is not None and named.session_uid == target.uid:
-        return named
-    return next((object for object in scene.objects if object.session_uid == target.uid), None)
-
-
 def result_copies(scene):
     """{name of an object: copy in a scene that holds its result, the first of several}."""
     return {o[f"{KEY}_of"]: o for o in reversed(stand_ins(scene))}
@@ -150,26 +143,26 @@ def copy_names(scene):
     return {name: copy.name for name, copy in result_copies(scene).items()}
 
 
-def remove_copies(scene, copies):
+def remove_copies(lookup, copies):
     """Remove copies that a bake made in a scene, and show their originals again. All at once: for each single one Blender
     looks through the whole file."""
     meshes = [copy.data for copy in copies]
     for copy in copies:
-        original = own_object(scene, copy.get(f"{KEY}_of", ""))
+        original = lookup.own(copy.get(f"{KEY}_of", ""))
         if original is not None:
-            hide(scene, [original.name], False)
+            hide([original], False)
             _select_instead(original, copy)
+    lookup.drop(copies)
     bpy.data.batch_remove(copies)
     _drop_meshes(meshes)
 
 
-def make_room(scene, targets, sources, copies):
+def make_room(lookup, targets, sources, copies):
     """Remove the former copies of those targets that have a mesh among sources. copies: {name of an object: name of its
     copy}, from which they are taken."""
     former = []
     for target in targets:
-        source = source_of(scene, target, sources)
-        copy = own_object(scene, copies[target.object]) if target.object in copies else None
+        source, copy = source_of(lookup, target, sources), lookup.own(copies.get(target.object))
         if copy is None or isinstance(source, Finding):
             continue
         if not source.materials:
@@ -177,18 +170,22 @@ def make_room(scene, targets, sources, copies):
                 source.materials.append(material)
         del copies[target.object]
         former.append(copy)
-    remove_copies(scene, former)
+    remove_copies(lookup, former)
 
 
-def source_meshes(context, targets):
-    """{name of a target's object: name of a new mesh of it, as it is rendered}: a generator that yields between objects.
-    All at once: after an object is hidden, or a copy made, Blender evaluates the whole scene anew."""
+def source_meshes(context, targets, step=inf):
+    """{name of a target's object: name of a new mesh of it, as it is rendered}: a generator that yields between objects,
+    every `step` seconds or so. All at once: after an object is hidden, or a copy made, Blender evaluates the whole scene
+    anew."""
     made = {}
     try:
         with originals_shown(context.scene):
+            lookup = Lookup(context.scene)
             for target in targets:
-                yield
-                object = object_of(context.scene, target)
+                if lookup.over(step):
+                    yield
+                    lookup = Lookup(context.scene)
+                object = lookup.target(target)
                 if object is not None:
                     made[target.object] = _evaluated_mesh(object, context.evaluated_depsgraph_get()).name
     except BaseException:
@@ -197,35 +194,36 @@ def source_meshes(context, targets):
     return made
 
 
-def source_of(scene, target, sources):
+def source_of(lookup, target, sources):
     """The mesh among those of `source_meshes` whose corners are a target's; a Finding if the object is not what was read."""
-    if object_of(scene, target) is None:
-        return Finding(target.object, "it was deleted during the bake", "its light was dropped")
-    mesh = own_mesh(sources.get(target.object))
+    if lookup.target(target) is None:
+        return deleted(target)
+    mesh = lookup.mesh(sources.get(target.object))
     if mesh is None or len(mesh.loops) != target.last - target.first:
         return Finding(target.object, "its mesh was changed during the bake", "its light was dropped: bake it again")
     return mesh
 
 
+def deleted(target):
+    """The Finding about a target whose object is gone."""
+    return Finding(target.object, "it was deleted during the bake", "its light was dropped")
+
+
 def drop_sources(sources):
     """Remove those meshes of `source_meshes` that nothing uses."""
-    _drop_meshes([own_mesh(name) for name in sources.values()])
-
-
-def own_mesh(name):
-    """The file's own mesh of a name, or None."""
-    return bpy.data.meshes.get((name, None)) if name else None
+    names = set(sources.values())
+    _drop_meshes([mesh for mesh in bpy.data.meshes if mesh.name in names and mesh.library is None] if names else [])
 
 
 def _drop_meshes(meshes):
-    unused = [mesh for mesh in set(meshes) if mesh is not None and mesh.users == 0]
+    unused = [mesh for mesh in set(meshes) if mesh.users == 0]
     if unused:
         bpy.data.batch_remove(unused)
 
 
-def copy_with(scene, target, mesh):
+def copy_with(lookup, target, mesh):
     """A marked copy of a target's object with another mesh and no modifiers, in place of the object, which is hidden."""
-    object = object_of(scene, target)
+    object = lookup.target(target)
     copy = object.copy()
     copy.data = mesh
     copy.name = mesh.name = f"{object.name}_radiosity"
@@ -235,40 +233,41 @@ def copy_with(scene, target, mesh):
     copy[f"{KEY}_of"] = object.name
     for collection in object.users_collection:
         collection.objects.link(copy)
+    lookup.add(copy)
     _select_instead(copy, object)
-    hide(scene, [object.name], True)
+    hide([object], True)
     return copy
 
 
-def _kept(scene, target, copies, remade):
+def _kept(lookup, target, copies, remade):
     """The copy of a target's object that this bake has made, and that still is what it was; or None."""
-    copy = own_object(scene, copies[target.object]) if target.object in copies else None
+    copy = lookup.own(copies.get(target.object))
     fits = copy is not None and copy.session_uid in remade and len(copy.data.loops) == target.last - target.first
     return copy if fits else None
 
 
-def _place(scene, target, copies, remade, sources):
+def _place(lookup, target, copies, remade, sources):
     """The object whose mesh takes a target's light, made if need be; a Finding if the object is not what was read.
     copies: {name of an object: name of the copy that holds its result}, kept up to date, as is remade; sources: of
     `source_meshes`."""
     if not target.same:
-        copy = _kept(scene, target, copies, remade)
-        if copy is None or object_of(scene, target) is None:
-            mesh = source_of(scene, target, sources)
+        copy = _kept(lookup, target, copies, remade)
+        if copy is None or lookup.target(target) is None:
+            mesh = source_of(lookup, target, sources)
             if isinstance(mesh, Finding):
                 return mesh
-            copy = copy_with(scene, target, mesh)
+            copy = copy_with(lookup, target, mesh)
             copies[target.object] = copy.name
             remade.add(copy.session_uid)
         return copy
-    object = object_of(scene, target)
+    object = lookup.target(target)
     if object is None:
-        return Finding(target.object, "it was deleted during the bake", "its light was dropped")
+        return deleted(target)
     if len(object.data.loops) != target.last - target.first or object.mode == "EDIT":
         return Finding(target.object, "its mesh was changed during the bake", "its light was dropped: bake it again")
-    copy = own_object(scene, copies[target.object]) if target.object in copies else None
+    copy = lookup.own(copies.get(target.object))
     if copy is not None:
-        remove_copies(scene, [copy])
+        remove_copies(lookup, [copy])
     if object.data.users - object.data.use_fake_user > 1:
         object.data = object.data.copy()
     return object

@@ -91,6 +91,12 @@ def test_manifest_lists_the_pinned_wheels():
     assert f"embreex=={pins['embreex']}" in project["dependencies"]
 
 
+def test_objects_are_not_searched_by_name():
+    """Blender goes through all of them, one by one; `lookup.Lookup` does so once for all names."""
+    for path in (ROOT / "addon").glob("*.py"):
+        assert not re.search(r"data\.(objects|meshes)\[|\.(objects|meshes)\.get\(", path.read_text()), path
+
+
 @pytest.mark.parametrize("name", ["cornell_box", "sunlit_room", "hall"])
 def test_sample_scenes_open_in_the_oldest_blender(name):
     """A file of Blender 4.2 begins like this; one saved by 5.x could not be opened before 4.5."""

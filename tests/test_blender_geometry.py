@@ -8,6 +8,7 @@ import pytest
 bpy = pytest.importorskip("bpy")
 from cell_radiosity.addon.errors import Refused  # noqa: E402
 from cell_radiosity.addon.job import Job, Options  # noqa: E402
+from cell_radiosity.addon.lookup import Lookup  # noqa: E402
 from cell_radiosity.addon.marks import stand_ins  # noqa: E402
 from cell_radiosity.addon.material_setup import set_up  # noqa: E402
 from cell_radiosity.addon.read_scene import read_scene  # noqa: E402
@@ -347,7 +348,7 @@ def test_a_linked_object_of_the_same_name_is_left_alone(cells, tmp_path):
         assert "Radiosity" in bpy.data.objects["floor_radiosity"].data.color_attributes
         assert "Radiosity" in wall.data.color_attributes
         assert not linked.data.color_attributes
-    remove_copies(scene, [bpy.data.objects["floor_radiosity"]])
+    remove_copies(Lookup(scene), [bpy.data.objects["floor_radiosity"]])
     assert (own.hide_render, own.hide_viewport) == (False, False)
 
 
