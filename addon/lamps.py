@@ -18,9 +18,7 @@ def read_lamp(light, matrix, name, ignored):
     power = np.array(light.color, float) * light.energy * _multiplier(light, name, ignored)
     if not power.any():
         return None
-    common = dict(name=name, position=tuple(matrix[:3, 3]), axes=tuple(map(tuple, axes)))
-    if not getattr(light.cycles, "cast_shadow", True) or not getattr(light, "use_shadow", True):
-        ignored.append((name, "its shadows are switched off: it casts them all the same"))
+    common = dict(name=name, position=tuple(matrix[:3, 3]), axes=tuple(map(tuple, axes)), shadows=light.use_shadow)
     return KINDS[light.type](light, power, scale, common, ignored)
 
 

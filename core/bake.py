@@ -572,6 +572,7 @@ class _Course:
             usual=self._usual,
             pilot_rays=PILOT * settings.pilot_rays,
             sources=len(self.sources),
+            shadowed=int(self.sources.shadows.sum()),
             reflects=reflects(self.scene),
         )
 

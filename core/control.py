@@ -173,7 +173,7 @@ def direct_light(kernel, points, factor, tests, fewest, seed):
     given = np.array([f.sum() * sources.strength[s].max() for s, f in enumerate(factor)])
     share = np.sqrt(given / max(given.sum(), 1e-300))
     for s in range(len(sources)):
-        if not kernel.occluded and points.level:
+        if points.level and not kernel.shadowed[s]:
             light += sources.strength[s][:, None] * factor[s]
             continue
         lit = np.flatnonzero(factor[s])

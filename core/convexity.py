@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .sampling import scatter
-from .vectors import runs
+from .vectors import dot, runs
 
 MOST_HEIGHTS = 1 << 20  # of a place above a plane, found at a time
 MOST_AT_ONCE = 1 << 22  # the same, where a few planes may do
@@ -26,12 +26,16 @@ def find_planes(normal, offset):
     return np.unique((way << 22) + (offset * 1e6).round().astype(np.int64), return_index=True, return_inverse=True)[1:]
 
 
-def find_heights(normal, offset, places):
-    """The least and the greatest height (K,) of places (L, 3) above planes (K,)."""
+def find_heights(normal, offset, places, distant=()):
+    """The least and the greatest height (K,) of places (L, 3) above planes (K,), and of what is distant its sine: pairs of
+    the sine of its half angle and the direction (3,) to it."""
     least, most = np.full(len(normal), np.inf), np.full(len(normal), -np.inf)
     for part in runs(len(places), len(normal), MOST_HEIGHTS):
         height = np.einsum("pd,ld->pl", normal, places[part]) - offset[:, None]
         least, most = np.minimum(least, height.min(axis=1)), np.maximum(most, height.max(axis=1))
+    for reach, direction in distant:
+        rise = dot(normal, direction)
+        least, most = np.minimum(least, rise - reach), np.maximum(most, rise + reach)
     return least, most
 
 

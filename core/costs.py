@@ -31,7 +31,7 @@ CHANNELS = 0.11  # of all CPU seconds: two more channels
 class Work:
     """What a bake has done. cpu: its CPU seconds; solve: those of the host's own solve; parts: {part: those of the
     cells}. patches, row_rays: and of each row; usual: (patches, row_rays), were they not eased. pilot_rays: of a point
-    in the pilot. sources: how many are sampled. reflects: whether any side does."""
+    in the pilot. sources: how many are sampled; shadowed: of which things cast shadows. reflects: whether any side does."""
 
     cpu: float
     solve: float
@@ -43,6 +43,7 @@ class Work:
     usual: tuple
     pilot_rays: int
     sources: int
+    shadowed: int
     reflects: bool
 
     def spent(self, *names):
@@ -67,7 +68,7 @@ def _foretold(needed, work):
     traced, patches = "interreflection" in needed, work.usual[0]
     finer = max(rows(*work.usual, traced) - rows(work.patches, work.row_rays, traced), 0.0)
     seconds = {
-        "occlusion": (TESTS * work.sources * (work.points + patches) + CONTACTS * patches) * ray,
+        "occlusion": (TESTS * work.shadowed * (work.points + patches) + CONTACTS * patches) * ray,
         "interreflection": (ESCAPE * work.pilot_rays * work.points * ray + rows(work.patches, work.row_rays, True))
         * work.reflects,
         "color": CHANNELS * work.cpu,

@@ -300,7 +300,7 @@ class Crowd:
             worth = ratio(factor * seen * members.power[member], number[owner] * density)
             for channel, color in zip(light[:, part], members.color.T):
                 channel[:] = np.bincount(owner, worth * color[member], len(total))
-        for part in (members.effect, *(("occlusion",) if occluded else ())):
+        for part in (members.effect, *(("occlusion",) if occluded and members.shadows.any() else ())):
             caster.note(part, begun)
         return light
 
@@ -324,7 +324,7 @@ class Crowd:
             worth = ratio(factor * seen * members.power[member], places * density)
             for channel, color in zip(light[:, part], members.color.T):
                 channel[:] = np.bincount(owner, worth * color[member], len(given))
-        for part in (members.effect, *(("occlusion",) if occluded else ())):
+        for part in (members.effect, *(("occlusion",) if occluded and members.shadows.any() else ())):
             caster.note(part, begun)
         return light
 

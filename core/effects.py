@@ -41,6 +41,7 @@ MOST_GLOWING = 256  # emitting faces that may be seen without obstruction; of mo
 SURE = 3.0  # what none of n rays has seen is at most SURE / n of what there is, with 95 % confidence
 MOST_TESTS = 200_000_000  # of a vertex against a plane; a room of more faces than that allows is not called convex
 TASK_RAYS = 1 << 16  # of one task
+NAMED = 3  # names in a reason
 
 
 @dataclass(frozen=True)
@@ -110,10 +111,10 @@ def survey(scene, settings=None, cells=None):
     settings = settings or Settings()
     cells = cells or LocalCells()
     look = _Look(scene, settings, cells)
-    two_sided = _two_sided(look)
+    two_sided, reflected = _two_sided(look), _interreflection(look)
     effects = {
-        "occlusion": _occlusion(look, two_sided.needed or _forced(settings, "two-sided")),
-        "interreflection": _interreflection(look),
+        "occlusion": _occlusion(look, *(e.needed or _forced(settings, e.name) for e in (two_sided, reflected))),
+        "interreflection": reflected,
         "color": _color(look),
         "lamps": _lamps(scene),
         "emission": _emission(scene),
@@ -171,6 +172,7 @@ class _Look:
         self.materials = _Materials(scene)
         self.material = scene.polygon_material[scene.triangle_polygon[self.usable]]
         self.lamps = [lamp for lamp in scene.lamps if max(lamp.strength) > 0]
+        self.shadowless = [lamp for lamp in self.lamps if not lamp.shadows]
         self.emitting = emitting_polygons(scene)
         cells.start(cast_arrays(scene, _forced(settings, "transparency")))
         self._cells = cells
@@ -183,10 +185,16 @@ class _Look:
         pieces = int(self._piece.max(initial=-1)) + 1
         nodes = [2 * self._piece[scene.triangle_polygon], 2 * self._piece[scene.triangle_polygon] + 1]
         lit, open_to_sky = np.zeros(2 * pieces, bool), np.zeros(2 * pieces, bool)
-        for lamp in sorted(self.lamps, key=lamp_power, reverse=True)[:MOST_LAMPS]:
-            if lamp.kind != "sun":
+        strongest = sorted(self.lamps, key=lamp_power, reverse=True)[:MOST_LAMPS]
+        for lamp in strongest:
+            if lamp.shadows and lamp.kind != "sun":
                 hit, back = self._hits(*_lamp_rays(lamp))
                 lit[_nodes_met(nodes, hit, back)] = True
+        through = [lamp for lamp in strongest if not lamp.shadows]
+        if through:  # what is turned to them is lit
+            least, most = find_heights(*self.planes(), *self.places(through))
+            for side, turned in zip(nodes, (most > WELD, least < -WELD)):
+                lit[side[self.usable[turned]]] = True
         glowing, number = self._glowing()
         for side in (0, 1):
             hit, back = self._hits(*face_rays(scene, glowing, number, side))
@@ -198,7 +206,7 @@ class _Look:
         self.rays, self.escaped, self.met = 0, np.zeros(2, int), 0
         self._sent = np.zeros(2 * pieces)  # rays that have set out from each node
         self.meets = 0.0  # the most that a face sends on which a ray has met
-        suns = [np.asarray(lamp.axes[2], float) for lamp in self.lamps if lamp.kind == "sun"]
+        suns = [np.asarray(lamp.axes[2], float) for lamp in self.lamps if lamp.kind == "sun" and lamp.shadows]
         for triangle, number in self._origins(pieces):
             self.rays += len(triangle)
             for side in (0, 1):
@@ -293,6 +301,22 @@ class _Look:
             return COMMON
         return indirect_share(scene, self.materials.returned, self._cells, self.settings.side == "back")
 
+    def planes(self):
+        """Normals (K, 3) of the planes of the usable triangles, and how far they are off the middle of the scene (K,) along
+        them, in diagonals."""
+        normal = self.scene.triangle_normal_area[0][self.usable]
+        return normal, dot(normal, self._framed(self.scene.vertices[self.scene.triangles[self.usable, 0]]))
+
+    def places(self, lamps, more=()):
+        """Corners (L, 3) of all that lies around lamps, and more of them, from the middle of the scene in diagonals; and of
+        suns the sines of their half angles and the directions to them, [(sine, (3,))]."""
+        outlines = [lamp_outline(lamp) for lamp in lamps]
+        corners = [np.zeros((0, 3)), *(corner for corner, direction in outlines if direction is None), *more]
+        return self._framed(np.concatenate(corners)), [sun for sun in outlines if sun[1] is not None]
+
+    def _framed(self, places):
+        return (places - self.scene.bounds.mean(axis=0)) / max(self.scene.diagonal, 1e-300)
+
     def _hits(self, position, normal, direction):
         """Triangle (K,), -1 where a ray escapes, and whether it met its back (K,)."""
         tasks = [
@@ -382,40 +406,49 @@ def _two_sided(look):
     return Effect("two-sided", False, text)
 
 
-def _occlusion(look, two_sided):
+def _occlusion(look, two_sided, reflects):
+    """Whether anything can stand before a source, or, where light is reflected, between one surface and another. Lamps that
+    cast no shadow are told."""
+    distant, effect = _bright_sky(look), _geometric_occlusion(look, two_sided, reflects)
+    if not effect.needed or not look.shadowless:
+        return effect
+    names = _some([lamp.name for lamp in look.shadowless])
+    if len(look.shadowless) == len(look.lamps) and not (len(look.emitting) or distant or look.sky.needed or reflects):
+        return Effect("occlusion", False, f"no lamp casts shadows: they are switched off ({names})")
+    return replace(effect, reason=f"{effect.reason}; no shadow rays go to {names}")
+
+
+def _bright_sky(look):
+    """Bright places of the sky, if it is needed: [(sine of the half angle, direction (3,))]."""
+    distant = []
+    for group in split_sky(look.scene.world)[1] if look.sky.needed else ():
+        middle = unit(group.directions.mean(axis=0))
+        distant.append((float(length(group.directions - middle).max()) + group.spread, middle))
+    return distant
+
+
+def _geometric_occlusion(look, two_sided, reflects):
     """Whether anything can stand between a source and a face that it could light: nothing can if the faces that are
-    turned to sources make up a convex room with the sources in it, or a block on whose outside they lie."""
-    scene = look.scene
-    outlines = [lamp_outline(lamp) for lamp in look.lamps]
-    places = [outline for outline, direction in outlines if direction is None]
-    distant = [outline for outline in outlines if outline[1] is not None]
+    turned to sources make up a convex room with the sources in it, or a block on whose outside they lie. The sky's even light
+    comes from all sides: what it leaves dark counts where light is reflected."""
+    scene, glowing, everywhere = look.scene, [], look.sky.needed and reflects
     if len(look.emitting):
         corners = np.concatenate([np.arange(*scene.polygon_start[p : p + 2]) for p in look.emitting[:MOST_GLOWING]])
-        places.append(scene.vertices[np.unique(scene.corner_vertex[corners])])
-    if look.sky.needed:
-        for group in split_sky(scene.world)[1]:
-            middle = unit(group.directions.mean(axis=0))
-            distant.append((float(length(group.directions - middle).max()) + group.spread, middle))
-    if not places and not distant:
+        glowing.append(scene.vertices[np.unique(scene.corner_vertex[corners])])
+    places, distant = look.places(look.lamps, glowing)
+    distant += _bright_sky(look)
+    if not len(places) and not distant and not everywhere:
         return Effect("occlusion", False, "there is no lamp or emitting face that anything could stand before")
     if len(look.emitting) > MOST_GLOWING:
         return Effect("occlusion", True, f"{len(look.emitting)} emitting faces can shade one another")
-    scale = 1.0 / max(scene.diagonal, 1e-300)
-    center = scene.bounds.mean(axis=0)
-    normal, triangle = scene.triangle_normal_area[0][look.usable], look.usable
-    offset = dot(normal, (scene.vertices[scene.triangles[look.usable, 0]] - center) * scale)
+    (normal, offset), triangle = look.planes(), look.usable
     if two_sided:
         normal, offset = np.concatenate([normal, -normal]), np.concatenate([offset, -offset])
         triangle = np.concatenate([triangle, triangle])
     plane, of_face = find_planes(normal, offset)
 
-    least, most = find_heights(
-        normal[plane], offset[plane], (np.concatenate([np.zeros((0, 3)), *places]) - center) * scale
-    )
-    for reach, direction in distant:
-        rise = dot(normal[plane], direction)
-        least, most = np.minimum(least, rise - reach), np.maximum(most, rise + reach)
-    lit = most > WELD
+    least, most = find_heights(normal[plane], offset[plane], places, distant)
+    lit = (most > WELD) | everywhere
     if not lit.any():
         return Effect("occlusion", False, "no face is turned to a lamp")
     turned = lit[of_face]
@@ -423,11 +456,11 @@ def _occlusion(look, two_sided):
     own = scene.used_vertices(triangle[turned])
     inside = _outlier(scene, normal[planes], offset[planes], own, triangle[planes], +1)
     if inside is None and not behind.any():
-        return Effect("occlusion", False, f"the faces that lamps reach are convex ({len(planes)} planes), with all lamps in front of them: nothing can cast a shadow")  # fmt: skip
+        return Effect("occlusion", False, f"the faces that light reaches are convex ({len(planes)} planes), with all lamps in front of them: nothing can cast a shadow")  # fmt: skip
     everything = scene.used_vertices(look.usable)
     outside = _outlier(scene, normal[planes], offset[planes], everything, triangle[planes], -1)
     if outside is None:
-        return Effect("occlusion", False, f"everything lies behind the {len(planes)} planes of the faces that lamps reach: nothing can cast a shadow")  # fmt: skip
+        return Effect("occlusion", False, f"everything lies behind the {len(planes)} planes of the faces that light reaches: nothing can cast a shadow")  # fmt: skip
     if inside is None:
         face = _owner(scene, triangle[planes][np.flatnonzero(behind)[0]])
         return Effect(
@@ -439,7 +472,7 @@ def _occlusion(look, two_sided):
 def _outlier(scene, normal, offset, vertices, triangle, sign):
     """What keeps vertices from lying all on or in front (sign -1: behind) of planes, in words; None if they do."""
     if not len(vertices) or len(normal) * len(vertices) > MOST_TESTS:
-        return f"the faces that lamps could light lie in {len(normal)} planes"
+        return f"the faces that light could reach lie in {len(normal)} planes"
     place = (scene.vertices[vertices] - scene.bounds.mean(axis=0)) / max(scene.diagonal, 1e-300)
     found = find_outlier(normal, offset, place, sign, WELD)
     if found is None:
@@ -448,7 +481,7 @@ def _outlier(scene, normal, offset, vertices, triangle, sign):
     here = _owner(scene, triangle[plane])
     there = _owner(scene, int(np.flatnonzero((scene.triangles == vertex).any(axis=1))[0]))
     meters = depth * scene.diagonal
-    return f"not convex: {there} reaches {meters:.3g} m behind a face of {here} that a lamp could light"
+    return f"not convex: {there} reaches {meters:.3g} m behind a face of {here} that light could reach"
 
 
 def _owner(scene, triangle):
@@ -508,7 +541,14 @@ def _lamps(scene):
     kinds = [lamp.kind for lamp in scene.lamps if max(lamp.strength) > 0]
     if not kinds:
         return Effect("lamps", False, "no lamp gives light" if scene.lamps else "there is no lamp")
-    return Effect("lamps", True, ", ".join(f"{kinds.count(k)} {k}" for k in sorted(set(kinds))))
+    told = ", ".join(f"{kinds.count(k)} {k}" for k in sorted(set(kinds)))
+    shadowless = [lamp.name for lamp in scene.lamps if max(lamp.strength) > 0 and not lamp.shadows]
+    return Effect("lamps", True, f"{told}; without shadows: {_some(shadowless)}" if shadowless else told)
+
+
+def _some(names):
+    """Some of many names, in words."""
+    return ", ".join(names[:NAMED]) + (f" and {len(names) - NAMED} more" if len(names) > NAMED else "")
 
 
 def _emission(scene):

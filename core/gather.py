@@ -362,13 +362,15 @@ def _direct(kernel, points, rays, tests, seed):
     """(C, K) light of the sampled sources at the points of a Block [W/m^2].
 
     All are tested a few times, with their neighbors; where a source is partly hidden, or hidden for one point and not
-    for the next, more test rays follow. tests: times as many as usual.
+    for the next, more test rays follow. tests: times as many as usual. Sources before which nothing can stand are tested only
+    where normals are bent, for parts of them may lie below the surface itself.
     """
     sources, own = kernel.sources, len(points)
     if not len(sources):
         return np.zeros((sources.strength.shape[1], own))
     ids, position, normal, geometric = points.ids, points.position, points.normal, points.geometric
-    if not kernel.occluded and (normal[:own] == geometric[:own]).all():
+    free, flat = ~kernel.shadowed, (normal == geometric).all(axis=1)
+    if free.all() and flat[:own].all():
         each = [unoccluded(sources, s, position[:own], normal[:own]) for s in range(len(sources))]
         return np.einsum("sk,sc->ck", np.stack(each), sources.strength)
     here, there = points.edges
@@ -403,9 +405,10 @@ def _direct(kernel, points, rays, tests, seed):
     np.maximum(bright, 1.0, out=bright)
     often = np.maximum(first * bright, rays * tests / UNSEEN * np.sqrt(share)).astype(np.int64)
     first = np.where(sharp, first, often)
-    weight, seen, tested = np.zeros(factor.shape), np.zeros(factor.shape), thread_time()
+    whole = flat[:, None] & free
+    weight, seen, tested = whole.astype(float), whole.astype(float), thread_time()
     for s in range(len(sources)):
-        lit = np.flatnonzero(factor[:, s] > 0)
+        lit = np.flatnonzero((factor[:, s] > 0) & ~whole[:, s])
         if len(lit):
             count = np.full(len(lit), RIM) if narrow[s] else first[lit, s]
             weight[lit, s], seen[lit, s] = test(s, lit, np.zeros(len(lit), np.int64), count, narrow[s])
@@ -414,7 +417,7 @@ def _direct(kernel, points, rays, tests, seed):
     most = 2 * PENUMBRA * rays * tests
     dim = (possible * ratio(seen, weight)).sum(axis=1) < DIM * possible.sum(axis=1)
     for s in range(len(sources)):
-        if sharp[s]:
+        if sharp[s] or free[s]:
             continue
         state = np.where(weight[:, s] > 0, np.sign(seen[:, s]) + (seen[:, s] < weight[:, s]), -1)
         differs = (state[here] != state[there]) & (state[here] >= 0) & (state[there] >= 0)

@@ -116,6 +116,11 @@ class Kernel:
         """Whether something may stand between a source and what it could light."""
         return bool(self.arrays["occlusion.any"])
 
+    @property
+    def shadowed(self):
+        """(S,) bool: the Sources that are tested one by one, before which something may stand."""
+        return self.sources.shadows & self.occluded
+
     @cached_property
     def guide(self):
         """What rays are guided to, as a GuideGeometry, or None."""

@@ -53,7 +53,7 @@ class Sources:
     no cone) and its blend; of a FLAT that does not shine in all directions alike the tangent of half its spread (-1: it
     does) and a factor. corner_start: (S + 1,) int32, corner: (C, 3) convex polygons of the FLAT ones, and unit vectors
     toward the directions of the SKY ones. origin: (S,) int32 number of the lamp, -1 for the sky, -2 - o for faces of
-    object o.
+    object o. shadows: (S,) bool, things that stand before it cast some.
     """
 
     kind: np.ndarray
@@ -67,6 +67,7 @@ class Sources:
     corner_start: np.ndarray
     corner: np.ndarray
     origin: np.ndarray
+    shadows: np.ndarray
 
     def __len__(self):
         return len(self.kind)
@@ -105,7 +106,7 @@ def make_sources(scene, shut=None):
 
     An emitting polygon that is not among them is light that rays find by hitting it.
     """
-    found = [_from(k, _of_lamp(lamp)) for k, lamp in enumerate(scene.lamps) if max(lamp.strength) > 0]
+    found = [_from(k, lamp, _of_lamp(lamp)) for k, lamp in enumerate(scene.lamps) if max(lamp.strength) > 0]
     found += [
         _source(SKY, g.irradiance, (0,) * 3, -unit(g.directions.mean(axis=0)), radius=g.spread, corners=g.directions)
         for g in split_sky(scene.world)[1]
@@ -253,7 +254,7 @@ def likely_light(sources, s, position, normal):
     return np.where(tilt > -SLANT, strength * area * rise * np.maximum(tilt, SLANT) / reach, 0.0) + TINY
 
 
-def patch_irradiance(sources, caster, centroid, position, normal, a, b, occluded=True):
+def patch_irradiance(sources, caster, centroid, position, normal, a, b, shadowed):
     """(K, C) mean direct irradiance [W/m^2] of K patches, from their centroids (K, 3) and places (K, n, 3) on them;
     (K,) bool, patches so near a source, or so curved, that their places do not all get the same; and of the brightest
     source that lights each in part, as the test rays tell: its number (K,) int16, -1 for none, the mean irradiance (K,)
@@ -262,7 +263,8 @@ def patch_irradiance(sources, caster, centroid, position, normal, a, b, occluded
     From each place one test ray goes to the place a, b (K, n) of every source. normal: (K, 1 or n, 3) at the places; the
     centroids take the first one. A source gives Lambert's
     exact factor times the visible share, sum(weight seen) / sum(weight) over the test rays: with weights left out, or
-    a single ray, a source seen at a grazing angle comes out too dark. occluded: without it, no ray is needed.
+    a single ray, a source seen at a grazing angle comes out too dark. shadowed: (S,) bool, sources before which something may
+    stand; toward others no ray is needed.
     """
     count, places = a.shape
     total = np.zeros((count, sources.strength.shape[1]))
@@ -285,7 +287,7 @@ def patch_irradiance(sources, caster, centroid, position, normal, a, b, occluded
         lit = np.flatnonzero(factor > 0)
         if not len(lit):
             continue
-        if not occluded:
+        if not shadowed[s]:
             total[lit] += factor[lit, None] * sources.strength[s]
             continue
         tested = thread_time()
@@ -305,7 +307,8 @@ def test_rays(sources, s, caster, position, normal, geometric, start, a, b):
 
     position, normal, geometric: (K, 3) where each ray starts, the axis of its hemisphere and the surface's own normal;
     start: (K, 3) float32, the position as the caster wants it; a, b: (K,) in [0, 1), the place on the source it goes to.
-    A weight is proportional to what reaches the position from there; it is 0 below either horizon.
+    A weight is proportional to what reaches the position from there; it is 0 below either horizon. Nothing blocks the rays to
+    a source that casts no shadows, so none is traced.
     """
     begun, endless = thread_time(), sources.kind[s] in (SUN, SKY)
     level = geometric is normal
@@ -328,6 +331,9 @@ def test_rays(sources, s, caster, position, normal, geometric, start, a, b):
     weight = np.maximum(weight, 0.0)
     if not level:
         weight = np.where(dot(toward, by_coordinate(geometric)) > 0, weight, 0.0)
+    if not sources.shadows[s]:
+        caster.note(effect_of(sources.origin[s]), begun)
+        return weight, weight
     cast = np.flatnonzero(weight)
     if len(cast) < len(weight):
         start, a, toward = np.take(start, cast, axis=0), np.take(a, cast), take(toward, cast)
@@ -405,12 +411,13 @@ def _source(kind, strength, position, direction, two_sided=False, radius=0.0, so
         corner_start=np.array([0, len(corners)], np.int32),
         corner=corners,
         origin=np.array([-1], np.int32),
+        shadows=np.array([True]),
     )
 
 
-def _from(origin, source):
-    """A source of one with its origin."""
-    return replace(source, origin=np.array([origin], np.int32))
+def _from(number, lamp, source):
+    """The source of a lamp of some number, that knows it."""
+    return replace(source, origin=np.array([number], np.int32), shadows=np.array([lamp.shadows], bool))
 
 
 def join_sources(found):
@@ -536,4 +543,5 @@ def flat_sources(corner, sides, strength, object):
         corner_start=start,
         corner=corner,
         origin=(-2 - object).astype(np.int32),
+        shadows=np.ones(len(sides), bool),
     )

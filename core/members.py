@@ -35,7 +35,7 @@ class Members:
     see Sources. Of the flat ones frame: (F, 3, 3) a corner and two edges from there, square: (F,) bool, a
     parallelogram, else a triangle; area: (F,) [m^2]; two_sided: (F,) bool. Of the others radius: (M - F,), soft: (M -
     F,) bool. remote: (M,) int, 0 in the scene and around it, and more the farther out; of each kind, these come first.
-    effect: that most belong to.
+    shadows: (M,) bool, things that stand before it cast some. effect: that most belong to.
     """
 
     source: np.ndarray
@@ -52,6 +52,7 @@ class Members:
     radius: np.ndarray
     soft: np.ndarray
     remote: np.ndarray
+    shadows: np.ndarray
     effect: str
 
     def __len__(self):
@@ -103,7 +104,7 @@ class Members:
             if geometric is not normal:
                 light = np.where(dot(toward, geometric[chosen]) > 0, light, 0.0)
             factor[chosen] = light
-            cast = np.flatnonzero(light)
+            cast = np.flatnonzero(self.shadows[m] & (light > 0))
             if not occluded or not len(cast):
                 continue
             own = chosen[cast]
@@ -193,6 +194,7 @@ def make_members(sources, chosen, middle, diagonal):
         radius=sources.radius[ball],
         soft=sources.soft[ball],
         remote=np.append(remote, further),
+        shadows=sources.shadows[source],
         effect=effect_of(int(np.median(sources.origin[source]))),
     )
 

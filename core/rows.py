@@ -199,7 +199,7 @@ def _light(kernel, sides, samples, seed):
     a, b, *place = _shifted(sides, samples, seed, DIRECT)
     position, normal = _places(kernel, sides, *place)
     centroid = kernel.patches.centroid[sides >> 1]
-    return patch_irradiance(kernel.sources, kernel.caster, centroid, position, normal, a, b, kernel.occluded)
+    return patch_irradiance(kernel.sources, kernel.caster, centroid, position, normal, a, b, kernel.shadowed)
 
 
 def _crowd(kernel, sides, samples, seed):

@@ -62,6 +62,7 @@ class Lamp:
     size: (2,) of an area lamp along its x and y axes [m]. ellipse: an area lamp is an ellipse, not a rectangle.
     spread: full angle that an area lamp shines into [rad]: its radiance falls with the tangent of the angle to its axis,
         to 0 at half of this, at the same power; pi: it is the same in all directions.
+    shadows: whether it casts any; without them, its light goes through everything.
     """
 
     kind: str
@@ -76,6 +77,7 @@ class Lamp:
     size: tuple = (1.0, 1.0)
     ellipse: bool = False
     spread: float = float(np.pi)
+    shadows: bool = True
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ from .replicates import Replicate
 from .saving import written_whole
 from .settings import Settings
 
-FORMAT = 7  # of the file; higher when samples of the same seed become others
+FORMAT = 8  # of the file; higher when samples of the same seed become others
 ANEW = "name another state file to bake it anew"
 DAMAGED = f"it is not a state file, or is damaged: {ANEW}"
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import ast
+import inspect
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from cell_radiosity.core import effects
 from cell_radiosity.core.cells import LocalCells
 from cell_radiosity.core.choices import EVEN
 from cell_radiosity.core.effects import survey
@@ -48,6 +51,11 @@ def test_empty_gray_room_needs_lamps_and_bounces_only():
     assert "6 planes" in found["occlusion"][1]
 
 
+def with_places(scene):
+    """A scene whose images lie on it as seen from above."""
+    return replace(scene, corner_uv=scene.vertices[scene.corner_vertex][:, :2].copy())
+
+
 def glow_read(light):
     """Readings of one place of a face."""
     color = np.full((1, 3), 0.5)
@@ -76,6 +84,19 @@ def painted(pixels):
     return room(
         materials=[Material("image", (0, 0, 0), texture=0)], textures=(Texture("image", pixels.astype(np.float32)),)
     )
+
+
+def lamp_beside(*shapes):
+    """Things with a lamp off their corner, to which three sides of a block are turned."""
+    return join_meshes(shapes, [GRAY], [Lamp("point", (10.0,) * 3, (3.0, 3.0, 3.0), radius=0.1)])
+
+
+def shelf_beside_a_lamp(height):
+    """A floor below a shelf, both facing up, and beside them an upright lamp that shines away, with its middle at a height."""
+    places = [(0, 0), (1, 0), (1, 1), (0, 1)]
+    sheets = (sheet(str(z), [(x, y, z) for x, y in places]) for z in (0, 0.5))
+    lamp = replace(PANEL, position=(5.0, 0.5, height), axes=((0, 0, 1), (0, 1, 0), (-1, 0, 0)), size=(0.02, 0.02))
+    return join_meshes([*sheets], [GRAY], [lamp])
 
 
 # Each leave-out, a scene that has it left out, and one at the edge, where it is needed.
@@ -126,8 +147,34 @@ TURNS = {
         join_meshes([box("block", inward=False)], [GRAY], [replace(PANEL, position=(0.5, 0.5, 2.0))]),
         join_meshes([box("block", inward=False), box("knob", (0.4, 0.4, 1), (0.6, 0.6, 1.1), inward=False)], [GRAY], [replace(PANEL, position=(0.5, 0.5, 2.0))]),
     ),
+    "a dent in a block": (
+        "occlusion", lamp_beside(box("block", n=2, inward=False)), with_vertex(lamp_beside(box("block", n=2, inward=False)), (1.0, 0.5, 0.5), (1 - 1e-4, 0.5, 0.5)),
+    ),
+    "a block with a floor": (
+        "occlusion", lamp_beside(box("block", n=2, inward=False)), lamp_beside(box("block", n=2, inward=False), sheet("floor", [(-1, -1, 0), (3, -1, 0), (3, 3, 0), (-1, 3, 0)])),
+    ),
     "a lamp that is lit": (
         "occlusion", room(BLOCK, lamps=[replace(PANEL, strength=(0, 0, 0))]), room(BLOCK, lamps=[replace(PANEL, strength=(0, 0, 1e-9))]),
+    ),
+    "a lamp whose rim rises above the floor's plane": ("occlusion", shelf_beside_a_lamp(-0.0101), shelf_beside_a_lamp(-0.0099)),
+    "a gray face among black ones": (
+        "interreflection", room(materials=[Material("black", (0, 0, 0)), GRAY]),
+        room(sheet("speck", [(0.4, 0.4, 0.001), (0.5, 0.4, 0.001), (0.5, 0.5, 0.001), (0.4, 0.5, 0.001)], material=1), materials=[Material("black", (0, 0, 0)), GRAY]),
+    ),
+    "a lamp at all": ("lamps", room(lamps=[]), room()),
+    "a world that is hardly black": (
+        "sky", join_meshes([box(n=4, faces="xXyYz")], [GRAY], [PANEL], World()), join_meshes([box(n=4, faces="xXyYz")], [GRAY], [PANEL], World((0, 0, 1e-9))),
+    ),
+    "an image at all": ("textures", room(), painted(np.tile(CHECKS[..., None], 3))),
+    "a block under an even sky": (
+        "occlusion", join_meshes([box(faces="z")], [GRAY], [], World((1, 1, 1))), join_meshes([box(faces="z"), BLOCK], [GRAY], [], World((1, 1, 1))),
+    ),
+    "a block under an even sky that reflects": (
+        "occlusion", join_meshes([box(faces="z"), BLOCK], [Material("black", (0, 0, 0))], [], World((1, 1, 1))), join_meshes([box(faces="z"), BLOCK], [GRAY], [], World((1, 1, 1))),
+    ),
+    "lamps without shadows": (
+        "occlusion", room(BLOCK, materials=[Material("black", (0, 0, 0))], lamps=[replace(PANEL, shadows=False)]),
+        room(BLOCK, materials=[Material("black", (0, 0, 0))], lamps=[replace(PANEL, shadows=False), PANEL]),
     ),
     "faces that glow, one more than are looked at": ("occlusion", glowing_ceiling(16), glowing_ceiling(17)),
     "a bright place in the sky": ("occlusion", shaded_floor(World((1, 1, 1))), shaded_floor(World(map=SPOT))),
@@ -160,10 +207,44 @@ TURNS = {
 @pytest.mark.parametrize("name", TURNS)
 def test_decision_turns_at_its_edge(name):
     effect, without, with_it = TURNS[name]
-    without = replace(without, corner_uv=np.tile(without.vertices[without.corner_vertex][:, :2], 1))
-    with_it = replace(with_it, corner_uv=np.tile(with_it.vertices[with_it.corner_vertex][:, :2], 1))
+    without, with_it = map(with_places, (without, with_it))
     assert not decided(without)[effect][0], decided(without)[effect][1]
     assert decided(with_it)[effect][0], decided(with_it)[effect][1]
+
+
+# How reasons to leave an effect out end, without what they count.
+LEFT_OUT = {
+    "occlusion": (
+        "no lamp casts shadows: they are switched off (panel)",
+        "that anything could stand before",
+        "no face is turned to a lamp",
+        "planes), with all lamps in front of them: nothing can cast a shadow",
+        "planes of the faces that light reaches: nothing can cast a shadow",
+    ),
+    "interreflection": ("rays from faces met a face", "met a face that reflects", "is reflected, at the 2 % asked for"),
+    "color": ("one channel is solved",),
+    "lamps": ("no lamp gives light", "there is no lamp"),
+    "emission": ("no face emits light",),
+    "sky": ("the world is black", "rays escaped"),
+    "textures": ("no material has an image", "images are of one color, to 0 %"),
+    "two-sided": ("nor did those of lamps and sky",),
+    "transparency": ("every surface is opaque",),
+    "instances": ("no two objects share a mesh",),
+    "islands": ("can see one another, directly or by way of others",),
+}
+
+
+def test_every_reason_to_leave_something_out_has_an_edge():
+    """As scenes of `TURNS` show; all that the survey can give are told here: each is a sentence in its source."""
+    found = {effect: set() for effect in EFFECTS}
+    for effect, without, _ in TURNS.values():
+        needed, reason = decided(with_places(without))[effect]
+        found[effect] |= {end for end in LEFT_OUT[effect] if reason.endswith(end)} if not needed else set()
+    assert found == {effect: set(ends) for effect, ends in LEFT_OUT.items()}
+    calls = [node for node in ast.walk(ast.parse(inspect.getsource(effects))) if isinstance(node, ast.Call)]
+    calls = [c for c in calls if getattr(c.func, "id", "") == "Effect" and getattr(c.args[1], "value", True) is False]
+    # Two calls give two reasons each, and two the same one.
+    assert len(calls) == sum(map(len, LEFT_OUT.values())) - 2 + 1
 
 
 @pytest.mark.parametrize(
@@ -178,7 +259,7 @@ def test_decision_turns_at_its_edge(name):
 )
 def test_decisions_follow_the_error_asked_for(effect, scene, turns):
     """What is left out at an error is called for at a little less of it."""
-    scene = replace(scene, corner_uv=np.tile(scene.vertices[scene.corner_vertex][:, :2], 1))
+    scene = with_places(scene)
     left_out = [not decided(scene, error=error)[effect][0] for error in (2 * turns, turns / 2)]
     assert left_out == [True, False], decided(scene, error=turns)[effect][1]
 
@@ -189,6 +270,16 @@ def test_backs_that_are_asked_for_see_the_sky():
     assert {side: decided(scene, side=side)["sky"][0] for side in ("front", "back", "lit")} == {
         "front": False, "back": True, "lit": True,
     }  # fmt: skip
+
+
+def test_even_sky_leaves_no_light_under_a_box():
+    """A box without a bottom on an uncut floor under a sky without lamps: no patch carries light in below its walls."""
+    floor = sheet("floor", [(-2, -2, 0), (2, -2, 0), (2, 2, 0), (-2, 2, 0)], 16, 16)
+    lid = box("lid", (-0.9, -0.9, 0), (1.1, 1.1, 1), 4, False, faces="xXyYZ")
+    baked, light = light_of(join_meshes([floor, lid], [Material("white", (0.8,) * 3)], [], World((0.5, 0.5, 0.5))))
+    below = (np.abs(baked.points.position[:, :2] - 0.1) < 0.95).all(axis=1) & (baked.points.object == 0)
+    assert below.sum() > 30
+    assert light[:, below].max() == 0.0 < light.mean()
 
 
 def test_walls_of_separate_sheets_are_one_convex_room():

@@ -210,6 +210,7 @@ def test_irradiance_of_a_spot(rng, blend):
         corner_start=np.zeros(2, np.int32),
         corner=np.zeros((0, 3)),
         origin=np.zeros(1, np.int32),
+        shadows=np.array([True]),
     )
     count = 60
     points = np.stack([np.linspace(0, 2, count), np.zeros(count), rng.uniform(-0.2, 0.2, count)], axis=1)

@@ -52,6 +52,7 @@ def scenes():
         "a tinted wall": room(materials=[GRAY, RED], slots={"x": 1}),
         "a block": room(block()),
         "a lamp of each kind": room(block(), lamps=[PANEL, Lamp("point", (5.0,) * 3, (1, 4, 2), radius=0.1), Lamp("spot", (9.0,) * 3, (3, 1, 2.5), angle=1.0, blend=0.2)]),
+        "a lamp without shadows": room(block(), lamps=[replace(PANEL, shadows=False)]),
         "a glowing ceiling": room(block(), materials=[GRAY, Material("glow", exitance=(3.0,) * 3)], lamps=[], slots={"Z": 1}),
         "a window and a blue sky": room(block(), faces="xXyYz", world=blue, lamps=[]),
         "an image on the walls": image,
