@@ -61,7 +61,7 @@ def rays(monkeypatch):
         return float(sum(n for key, n in count.items() if key != "first"))
 
     monkeypatch.setattr("time.thread_time", clock)
-    for module in ("raycast", "lights", "crowd", "gather", "clock"):
+    for module in ("raycast", "lights", "crowd", "direct", "gather", "clock"):
         monkeypatch.setattr(f"cell_radiosity.core.{module}.thread_time", clock)
     return count
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cell_radiosity.core import gather
+from cell_radiosity.core import direct
 from cell_radiosity.core.cells import LocalCells
 
 from scenes import Lamp, Material, Settings, bake, join_meshes, run, sheet
@@ -58,14 +58,14 @@ def test_rays_go_where_part_of_the_sun_is_seen(monkeypatch):
     """Elsewhere, in full light and in shadow, as many as tell that, and none more however many rays a point gets."""
     scene, count = under_a_screen(-1.0, 1.0, 40, 40), []
 
-    def counted(*arguments, real=gather.test_rays):
+    def counted(*arguments, real=direct.test_rays):
         count.append(len(arguments[-1]))
         return real(*arguments)
 
-    monkeypatch.setattr(gather, "test_rays", counted)
+    monkeypatch.setattr(direct, "test_rays", counted)
     x, light = light_on_floor(scene, gather_rays=64, pilot_rays=32)
     near = np.count_nonzero(np.abs(x) < 0.051)  # those beside the edge, and on it
-    most = gather.RIM * (len(x) + 4) + near * (gather.TESTS + gather.PENUMBRA * 32)
+    most = direct.RIM * (len(x) + 4) + near * (direct.TESTS + direct.PENUMBRA * 32)
     assert sum(count) <= 2 * 1.2 * most
     assert (light[x < -0.06] == 1).all()
     assert (light[x > 0.06] == 0).all()
