@@ -57,12 +57,14 @@ class Effect:
 
 @dataclass(frozen=True)
 class Survey:
-    """Effects, in the order of `EFFECTS`; ignored: (object, reason) of what cannot be simulated; health: findings.
+    """What a scene calls for: Effects, in the order of `EFFECTS`.
 
+    ignored: (object, reason) of what cannot be simulated. health: findings.
     island: (P, 2) int32 number of the part of the scene that each polygon's front and back belong to: light of one
-    never reaches another. islands: how many of them have light. indirect: share of the light that is reflected, roughly
-    (root mean square), as far as that has been looked at. contrast: mean square of what sources give faces, over the square
-    of the mean, where nothing casts a shadow; elsewhere nobody looks.
+        never reaches another. islands: how many of them have light.
+    indirect: share of the light that is reflected, roughly (root mean square), as far as that has been looked at.
+    contrast: mean square of what sources give faces, over the square of the mean, where nothing casts a shadow; elsewhere
+        nobody looks.
     """
 
     effects: tuple

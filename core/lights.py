@@ -46,14 +46,18 @@ DISK_SIDES = 24  # of the polygon, equal in area, that stands for a disk or elli
 class Sources:
     """S sources of direct light.
 
-    kind: (S,) int8. strength: (S, 3) exitance of a FLAT [W/m^2], intensity of a BALL [W/sr], irradiance of a surface
-    that faces a SUN or SKY [W/m^2]. position: (S, 3) center. direction: (S, 3) unit, the way it shines (a FLAT's
-    normal). two_sided: (S,) bool. radius: (S,) of a BALL [m], or sine of the half angle of a SUN, or of each direction
-    of a SKY. soft: (S,) bool, a BALL is a disk that faces the receiver. cone: (S, 2) cosine of a spot's half angle (-1:
-    no cone) and its blend; of a FLAT that does not shine in all directions alike the tangent of half its spread (-1: it
-    does) and a factor. corner_start: (S + 1,) int32, corner: (C, 3) convex polygons of the FLAT ones, and unit vectors
-    toward the directions of the SKY ones. origin: (S,) int32 number of the lamp, -1 for the sky, -2 - o for faces of
-    object o. shadows: (S,) bool, things that stand before it cast some.
+    kind: (S,) int8. position: (S, 3) center.
+    strength: (S, 3) exitance of a FLAT [W/m^2], intensity of a BALL [W/sr], irradiance of a surface that faces a SUN or
+        SKY [W/m^2].
+    direction: (S, 3) unit, the way it shines (a FLAT's normal). two_sided: (S,) bool, a FLAT shines to both sides.
+    radius: (S,) of a BALL [m], or sine of the half angle of a SUN, or of each direction of a SKY.
+    soft: (S,) bool, a BALL is a disk that faces the receiver.
+    cone: (S, 2) cosine of a spot's half angle (-1: no cone) and its blend; of a FLAT that does not shine in all
+        directions alike the tangent of half its spread (-1: it does) and a factor.
+    corner_start: (S + 1,) int32 where the corners of each begin in corner: (C, 3), convex polygons of the FLAT ones, and
+        unit vectors toward the directions of the SKY ones.
+    origin: (S,) int32 number of the lamp, -1 for the sky, -2 - o for faces of object o.
+    shadows: (S,) bool, things that stand before it cast some.
     """
 
     kind: np.ndarray

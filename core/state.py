@@ -45,14 +45,17 @@ class StateError(ValueError):
 class State:
     """What a bake has found so far, of what there is at all.
 
-    prints: of the scene, see `scene_prints`. settings: its knobs; their error is the least that the survey and the
-    solution were made for. solution: perhaps unfinished; solved: the error that it was finished for, infinite before.
-    places: arrays from which points are made again without a ray, {name: array}; side: (P,) the patch side of each.
-    gathered: replicates, and the bound of the transport that each of them read, bounds. control: ids and weights of
-    control points, drawn from each object or not; traced: their truths; doubt: of the estimate before they were last
-    traced, since the last replicate, times the fourth root of their rays. openness: (distance, (P,)). averaged:
-    Averages of light over surfaces around points. price: the list that the pilot foretold. seconds: {phase: spent so
-    far}, and "replicates" those on `rays` gather rays. note: whoever asked for the bake may leave one.
+    prints: of the scene, see `scene_prints`.
+    settings: its knobs; their error is the least that the survey and the solution were made for.
+    solution: perhaps unfinished. solved: the error that it was finished for, infinite before.
+    places: arrays from which points are made again without a ray, {name: array}. side: (P,) the patch side of each.
+    gathered: replicates. bounds: of the transport that each of them has read.
+    control: ids and weights of control points. each_object: they are drawn from each object. traced: their truths.
+    doubt: of the estimate before they were last traced, since the last replicate, times the fourth root of their rays.
+    openness: (distance, (P,)). averaged: Averages of light over surfaces around points.
+    price: the list that the pilot foretold.
+    seconds: {phase: spent so far}, and "replicates" those on `rays` gather rays.
+    note: whoever asked for the bake may leave one.
     """
 
     prints: dict
