@@ -14,7 +14,7 @@ from .accuracy import CROWDED, MOST_RAYS, Estimate, estimate_error, rays_by_obje
 from .averages import Averages, places_wanted
 from .budget import cells_within
 from .cells import LocalCells
-from .choices import control_points, control_rays, eased, finer, goes_on, more_control, parted, shadowless
+from .choices import control_points, control_rays, eased, finer, goes_on, more_control, obstructed, parted, shadowless
 from .clock import Clock
 from .contacts import cut_contacts
 from .control import Control, Traced, draw_control
@@ -639,7 +639,7 @@ class _Course:
         if known and known.places is not None:
             self._places = known.places
             return from_arrays(Points, "points", known.places), known.side
-        cells = self.cells if self.survey.needs("occlusion") else None
+        cells = self.cells if obstructed(self.survey) else None
         points = make_points(self.scene, self._flipped(side), cells)
         self._places = to_arrays("points", points)
         return points, sides_of(points, self.cells)

@@ -75,6 +75,11 @@ def error_of_reflected(settings, found):
     return settings.error / max(found.indirect, 1e-9)
 
 
+def obstructed(found):
+    """Whether something may stand before what points get light from: a source, or the sky, toward which no test rays go."""
+    return found.needs("occlusion") or found.needs("sky")
+
+
 def parted(settings, found):
     """Whether patches are cut where other surfaces touch them: not if they are the coarsest there are because hardly any
     light is reflected, so that what leaks there does not matter."""

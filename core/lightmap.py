@@ -18,6 +18,7 @@ from .lights import unoccluded
 from .points import Block, Points, block_arrays
 from .raycast import OFFSET
 from .sampling import hemisphere, lattice, morton_order, tangents
+from .touching import find_touching
 from .vectors import TINY, counted, cross, dot, doubled_areas, length, numbered, runs, unit
 
 FEW, MANY = 4, 16  # rays that tell a covered texel: if all of the few meet backs, the many are cast
@@ -82,11 +83,13 @@ def make_texels(scene, atlas, flipped, cells):
     cells.start({"settle.flipped": flipped[scene.triangle_polygon]})
     for part, settled in zip(parts, cells.flow("settle", places())):
         found["position"][part], found["moved"][part], free[part] = (settled[k] for k in ("position", "moved", "open"))
+    polygon = scene.triangle_polygon[atlas.triangle[found["row"]]]
+    free &= ~find_touching(scene, flipped, cells, polygon, found["position"], found["geometric"])
     order = np.flatnonzero(free)
     order = order[morton_order(found["position"][order])]
     for name in found:  # one by one: of each only one is there twice
         found[name] = found[name][order]
-    del order
+    del order, polygon
     object = scene.polygon_object[scene.triangle_polygon[atlas.triangle]].astype(np.int32)[found["row"]]
     start, neighbor = _grid_neighbors(atlas, found["image"], found["line"], found["column"], atlas.chart[found["row"]])
     none = np.zeros(0, np.int32)

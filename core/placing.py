@@ -12,7 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from .health import Finding
-from .vectors import length
+from .scene import normal_and_area
+from .vectors import length, rows_of
 
 RINGS = 16  # steps from neighbor to neighbor, by which light is carried to points without their own
 
@@ -29,6 +30,17 @@ def find_reach(kernel, start, stop, up, stop_up):
     begin = kernel.caster.start(start, up)
     triangle, _, _, distance, _ = kernel.caster.hits(begin, kernel.caster.start(stop, stop_up) - begin)
     return {"reach": np.where(triangle < 0, 1.0, np.minimum(distance.astype(float), 1.0))}
+
+
+def find_met(kernel, position, normal, direction):
+    """{"place": (K, 3), "facing": (K, 3)} where rays from just above places on surfaces (K, 3) meet something, and the unit
+    normal of the face there; both 0 where they meet nothing. direction: (K, 3)."""
+    start = kernel.caster.start(position, normal)
+    triangle, u, v, _, _ = kernel.caster.hits(start, direction.astype(np.float32))
+    a, b, c = (rows_of(kernel.vertices, corner) for corner in rows_of(kernel.triangles, triangle).T)
+    place = a + u[:, None].astype(float) * (b - a) + v[:, None].astype(float) * (c - a)
+    there = (triangle >= 0)[:, None]
+    return {"place": np.where(there, place, 0.0), "facing": np.where(there, normal_and_area(a, b, c)[0], 0.0)}
 
 
 def refill(points, light):

@@ -14,6 +14,7 @@ import numpy as np
 from .raycast import OFFSET
 from .sampling import morton_order
 from .scene import following_corners
+from .touching import SINK, find_touching
 from .vectors import by_coordinate, counted, dot, length, rows_of, runs, unit
 
 SAME_NORMAL = 0.99984769515639127  # cosine of one degree
@@ -64,11 +65,12 @@ def make_points(scene, flipped=None, cells=None):
     points clear of surfaces that pass through or beside their vertices; None leaves them where they are.
     """
     corners = _Corners(scene, flipped)
-    point = group_corners(corners.vertex, corners.normals(slice(None)))
+    point, sunk = group_corners(corners.vertex, corners.normals(slice(None))), np.zeros(0, np.int64)
     size = np.diff(scene.polygon_start)
     move, width, stout, crossed = _moves(scene, corners, cells)
     if cells is not None and len(point):
         point = _part(scene, cells, corners, point, crossed, move)
+        point, sunk = _apart(point, _touching(scene, flipped, cells, corners, move))
     del crossed
 
     count = int(point.max(initial=-1)) + 1
@@ -88,6 +90,7 @@ def make_points(scene, flipped=None, cells=None):
     del width
     position = rows_of(scene.vertices, corners.vertex[first]) + move
     position += _lift(scene, corners, move, point, geometric)
+    position[sunk] -= SINK * scene.diagonal * geometric[sunk]
     thin = np.ones(count, bool)
     thin[point[stout]] = False
     smooth = smooth_vertices(scene, facing)[corners.vertex[first]]
@@ -305,6 +308,22 @@ def _part(scene, cells, corners, point, crossed, move):
         point[parted] = point.max() + 1 + number.reshape(-1)
         left = parted
     return point
+
+
+def _touching(scene, flipped, cells, corners, move):
+    """(C,) bool: corners on fronts of faces against which another face lies, see `touching`."""
+    place = rows_of(scene.vertices, corners.vertex)
+    place += scene.diagonal * move
+    return find_touching(scene, flipped, cells, corners.polygon, place, corners.facing(slice(None)))
+
+
+def _apart(point, chosen):
+    """The number (C,) of each corner's point, where chosen ones (C,) have others than those that are not, and the numbers
+    of theirs."""
+    if not chosen.any():
+        return point, np.zeros(0, np.int64)
+    number, point = np.unique(2 * point.astype(np.int64) + chosen, return_inverse=True)
+    return point.reshape(-1).astype(np.int32), np.flatnonzero(number % 2)
 
 
 def group_corners(vertex, normal, agreement=SAME_NORMAL):

@@ -10,7 +10,7 @@ from .control import control_points
 from .gather import find_sides, gather_points
 from .lightmap import light_parts, settle_points
 from .occlusion import openness_of_points
-from .placing import find_blocked, find_reach
+from .placing import find_blocked, find_met, find_reach
 from .replicates import light_of_block
 from .rows import analytic_rows, guide_rows, light_patches, trace_rows
 
@@ -36,6 +36,7 @@ TASKS = {
     "contacts": find_contacts,
     "blocked": find_blocked,
     "reach": find_reach,
+    "met": find_met,
     "direct": light_patches,
     "rows": trace_rows,
     "guided": guide_rows,

@@ -296,6 +296,17 @@ def test_texels_under_a_box_do_not_darken_the_floor_beside_it(cells):
     np.testing.assert_allclose(image, 1.0, atol=1e-9)  # the sun stands overhead: all the floor that shows is lit
 
 
+def test_texels_at_the_bottom_of_a_box_do_not_see_below_the_floor(cells):
+    """The sky shines below the floor too: all texels of the box that are baked are on its sides and its top."""
+    floor = sheet("floor", ((0, 0, 0), (3, 0, 0), (3, 3, 0), (0, 3, 0)))
+    scene = join_meshes([floor, box("block", (1, 1, 0), (2, 2, 1), inward=False)], [Material(reflectance=(0.5,) * 3)],
+                        world=World((1.0, 1.0, 1.0)), written=[False, True])  # fmt: skip
+    baked = bake_map(scene, make_atlas(scene, density=8.0), cells)
+    assert baked.points.hidden >= 8 * 8
+    assert baked.points.geometric[:, 2].min() > -0.5
+    assert len(baked.points) >= 5 * 8 * 8
+
+
 SUN = np.array((0.5, 0.3, -1.0))
 BLOCK = np.array(((1.3, 1.5, 0.0), (2.1, 2.2, 1.0)))
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 from cases import case, findings, gray, nearest, of, off, total, twin_off
 
-from scenes import Lamp, Mesh, box, box_corners, icosphere, join_meshes, sheet
+from scenes import Lamp, Mesh, World, box, box_corners, icosphere, join_meshes, sheet
 
 LAMP = Lamp("point", (1.0, 0.8, 0.6), (0.4, 0.6, 0.8), radius=0.02)
 FURNACE = 2.0  # E / (1 - rho) of gray(0.5, 1.0), everywhere in a closed room
@@ -266,6 +267,30 @@ def floor_vertices_inside_a_block(bake):
         assert inside.sum() == 9
         worst = max(worst, float(total(baked)[inside].max()))
     return worst
+
+
+@case(within=1e-3)
+def bottoms_of_blocks_on_a_floor_under_a_sky(bake):
+    """Standing on a single sheet, lifted and sunk by 1e-5, in sizes from 1e-3 to 1e3: black where the floor covers them, pi L
+    beyond it."""
+    worst = 0.0
+    for gap, scale, half in product((0.0, 1e-5, -1e-5), (1.0, 1e-3, 1e3), (2.0, 0.3)):
+        block = box("block", (-0.5, -0.5, gap), (0.5, 0.5, 1 + gap), 3, False)
+        floor = sheet("floor", [(-half, -half, 0), (half, -half, 0), (half, half, 0), (-half, half, 0)])
+        scene = join_meshes([floor, block], [gray(0.5)], world=World((1.0, 1.0, 1.0)))
+        baked = bake(replace(scene, vertices=scale * scene.vertices))
+        bottom = of(baked, "block") & (baked.points.normal[:, 2] < -0.9)
+        covered = (np.abs(baked.points.position[bottom, :2]) < half * scale).all(axis=1)
+        worst = max(worst, off(total(baked)[bottom], np.where(covered, 0.0, np.pi)[:, None], np.pi))
+    return worst
+
+
+@case(within=1e-3)
+def two_sheets_for_a_wall(bake):
+    """A house of two boxes in one place, one turned in and one out, no lamp: pi L outside, and nothing inside."""
+    scene = join_meshes([box("in", n=3), box("out", n=2, inward=False)], [gray(0.5)], world=World((1.0, 1.0, 1.0)))
+    baked = bake(scene)
+    return off(total(baked), np.where(of(baked, "out"), np.pi, 0.0)[:, None], np.pi)
 
 
 @case(within=0.0)
