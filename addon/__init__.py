@@ -2,7 +2,7 @@
 
 import bpy
 
-from . import operators, panels, preferences, properties, session, translations
+from . import operators, panels, preferences, properties, session, translations, viewport
 
 MODULES = (preferences, properties, operators, panels)
 CLASSES = tuple(cls for module in MODULES for cls in module.CLASSES)
@@ -19,12 +19,14 @@ def register():
         bpy.utils.register_class(cls)
     properties.attach()
     session.register()
+    viewport.register()
     if hasattr(bpy.utils, "register_cli_command"):
         _commands.append(bpy.utils.register_cli_command("radiosity", main))
 
 
 def unregister():
     """Undo `register`, in reverse; cells end first."""
+    viewport.unregister()
     session.unregister()
     while _commands:
         bpy.utils.unregister_cli_command(_commands.pop())

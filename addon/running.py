@@ -51,6 +51,8 @@ class Running:
     def left(self):
         """Seconds left of the work, a guess; None if there is none."""
         progress = self.progress
+        if self.phase != "work" or self.cancelled:
+            return None
         if progress is None or progress.left is not None or self._expected is None:
             return progress and progress.left
         return max(self._expected - progress.seconds, 0.0)

@@ -25,13 +25,15 @@ class Session:
 
     edits: counts the changes of the file's data, so that what was looked up before one is known to be old; writes: those
     that the extension itself has made. changes: counts the edits that may change the light.
-    shading: {address of a 3D view's space: (light, color type)} as they were before a layer was shown there.
+    shading: {address of a 3D view's space: (light, color type)} as they were before a layer was shown there. unshown: there
+    was one in the views, until they were drawn again as they had been.
     """
 
     cells = None
     running = None
     edits = writes = changes = 0
     shading = {}
+    unshown = False
     _writing = False
 
     @classmethod

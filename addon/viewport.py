@@ -6,7 +6,9 @@ Solid shading knows no exposure: a layer that is to look brighter or darker is s
 
 from __future__ import annotations
 
+import bpy
 import numpy as np
+from bpy.app.handlers import persistent
 
 from ..core.layers import LAYERS
 from .marks import made_layers, mark_layers, stand_ins
@@ -83,6 +85,7 @@ def middle_exposure(scene, layer):
 def show_in_views(context, force=False, images=False):
     """Let the Solid 3D views show color attributes (or images) as they are; force: turn the largest view to Solid if
     none is."""
+    Session.unshown = False
     views = [
         area for window in context.window_manager.windows for area in window.screen.areas if area.type == "VIEW_3D"
     ]
@@ -101,6 +104,7 @@ def show_in_views(context, force=False, images=False):
 
 def restore_views(context):
     """Draw the 3D views as they were drawn before layers were shown."""
+    Session.unshown = bool(Session.shading)
     for window in context.window_manager.windows:
         for area in window.screen.areas:
             if area.type == "VIEW_3D":
@@ -116,3 +120,39 @@ def redraw(context):
             for region in area.regions:
                 if (area.type, region.type) in {("VIEW_3D", "UI"), ("PROPERTIES", "WINDOW")}:
                     region.tag_redraw()
+
+
+@persistent
+def _after_undo(*_):
+    """Draw the 3D views, which Blender does not undo, as it goes with what was undone or done again."""
+    context = bpy.context
+    if Session.shading and not has_result(context.scene):
+        restore_views(context)
+    elif Session.unshown and has_result(context.scene):
+        show_in_views(context, images=not context.scene.radiosity.shown)
+
+
+@persistent
+def _after_load(*_):
+    """Views that stay when another file is opened are drawn as they were before the light of the last one."""
+    if not has_result(bpy.context.scene):
+        restore_views(bpy.context)
+    Session.unshown = False
+
+
+def register():
+    """Let the views follow what is undone, done again, and opened."""
+    for handlers, handler in _handlers():
+        handlers.append(handler)
+
+
+def unregister():
+    """Leave the views as they are."""
+    for handlers, handler in _handlers():
+        handlers.remove(handler)
+
+
+def _handlers():
+    """(list of Blender's, our handler in it)."""
+    told = bpy.app.handlers
+    return (told.undo_post, _after_undo), (told.redo_post, _after_undo), (told.load_post, _after_load)

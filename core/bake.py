@@ -517,6 +517,7 @@ class _Course:
 
     def result(self, solution=None):
         """The Bake as it stands; solution: of a transport that is not at its end."""
+        phase = "transport" if solution is not None else "gather" if self.price else "survey"
         if solution is None:
             light = self.gathering.light(self.scene.diagonal)
             if self.averaged:
@@ -541,7 +542,7 @@ class _Course:
             converged=solution.converged and (reached or self.settings.gather_rays is not None or self._timed),
             floor=reached and len(self.gathering.gathered.replicates) <= PILOT,
             price=self.price,
-            seconds=self.clock.seconds(),
+            seconds=self.clock.seconds(phase),
             rays=self.clock.rays(),
             cells=self.clock.cells(),
             groups=self.groups,

@@ -49,12 +49,15 @@ class Clock:
         before = self._usage.parts
         return {part: seconds - before.get(part, 0.0) for part, seconds in self._cells.usage.parts.items()}
 
-    def seconds(self):
+    def seconds(self, phase=None):
+        """{phase: seconds}, and CPU seconds. phase: that which goes on, if its time so far is to count."""
         used, before = self._cells.usage, self._usage
         here = process_time() - self._cpu
         cpu = here + used.cpu - before.cpu - (used.here - before.here)
-        phases = dict.fromkeys(("survey", "patches", "transport", "gather"), 0.0)
-        return {**phases, **self._phases, "cpu": cpu, "embree_cpu": used.embree - before.embree}
+        phases = {**dict.fromkeys(("survey", "patches", "transport", "gather"), 0.0), **self._phases}
+        if phase:
+            phases[phase] += perf_counter() - self._lap
+        return {**phases, "cpu": cpu, "embree_cpu": used.embree - before.embree}
 
     def pace(self):
         """Wall seconds that a CPU second takes, of the host and of the cells, which work side by side."""

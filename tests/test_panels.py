@@ -448,6 +448,11 @@ def test_while_it_runs_the_panel_shows_how_far_it_is(room, monkeypatch):
     texts = drawn().texts
     assert texts[0] == "Waiting"
     assert not any("left" in text for text in texts)
+    running.waiting, running.phase = "", "write"
+    assert not any("left" in text for text in drawn().texts)
+    running.phase = "work"
+    running.cancel()
+    assert not any("left" in text for text in drawn().texts)
 
 
 def test_preflight_names_what_stands_in_the_way(room):
@@ -528,6 +533,31 @@ def test_layers_are_shown_and_exposed_and_cleared(room):
     assert room.radiosity.result.points == -1
     assert not any(m.color_attributes for m in bpy.data.meshes)
     assert not bpy.ops.radiosity.clear.poll()
+
+
+def test_the_views_follow_what_is_undone_and_done_again(room):
+    """Blender leaves them as they are: without colors a scene in Flat shading is white."""
+    shading = next(a for a in bpy.context.screen.areas if a.type == "VIEW_3D").spaces.active.shading
+    look = lambda: (shading.light, shading.color_type)
+    before, lit = look(), ("FLAT", "VERTEX")
+    assert before != lit
+    bpy.ops.ed.undo_push(message="a scene")
+    bpy.ops.radiosity.bake()
+    bpy.ops.ed.undo_push(message="baked")
+    assert look() == lit
+    bpy.ops.ed.undo()
+    assert look() == before
+    bpy.ops.ed.redo()
+    assert look() == lit
+    bpy.ops.radiosity.clear()
+    bpy.ops.ed.undo_push(message="cleared")
+    assert look() == before
+    bpy.ops.ed.undo()
+    assert look() == lit
+    shading.light, shading.color_type = before  # by hand: so it stays
+    bpy.ops.ed.undo_push(message="something")
+    bpy.ops.ed.undo()
+    assert look() == before
 
 
 def sums(mesh, layer, factors):

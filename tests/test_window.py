@@ -73,15 +73,19 @@ def test_one_click_bakes_and_shows_the_light_with_the_same_bits(box, blender, fo
 
 
 def test_undo_takes_a_bake_back_whole(box):
+    color = "area.spaces.active.shading.color_type"
+    before = box.ask(f"answer = {color}")
     box.ask(PRESS_BAKE)
     box.until(RUNNING)
     box.until(IDLE)
-    assert box.ask(f"answer = {LAYERS}") == ["Lighting", "Radiosity"]
+    assert box.ask(f"answer = [{LAYERS}, {color}]") == [["Lighting", "Radiosity"], "VERTEX"]
     box.press("ctrl+z")
     box.until(f"{LAYERS} == []")
+    assert box.ask(f"answer = {color}") == before != "VERTEX"
     assert box.ask(f"answer = {SETTINGS}.result.points") == -1
     box.press("ctrl+shift+z")
     box.until(f"{LAYERS} == ['Lighting', 'Radiosity']")
+    assert box.ask(f"answer = {color}") == "VERTEX"
 
 
 def test_prices_are_found_beside_the_window(box):
