@@ -19,10 +19,11 @@ from cell_radiosity.core.accuracy import (
     rays_by_object,
     rays_wanted,
 )
-from cell_radiosity.core.bake import _Course, price
+from cell_radiosity.core.bake import price, through
 from cell_radiosity.core.cells import LocalCells
 from cell_radiosity.core.choices import MOST_CONTROL_RAYS, STEP, UNSURE, more_control
 from cell_radiosity.core.control import draw_control
+from cell_radiosity.core.course import Course
 from cell_radiosity.core.effects import Survey
 from cell_radiosity.core.prices import AGAIN, Pilot, price_list, rays_more, replicate_seconds, transport_prices
 from cell_radiosity.core.replicates import Light
@@ -179,7 +180,7 @@ def test_test_rays_are_foretold_once_for_a_replicate_of_many_rays():
 
 def timed(seconds, monkeypatch):
     """The rays of a point in a bake of so many seconds, by a clock on which a ray of every point takes a hundredth."""
-    course = _Course(furnished(), Settings(seconds=seconds, error=0.02), LocalCells())
+    course = Course(furnished(), Settings(seconds=seconds, error=0.02), LocalCells())
 
     def rays():
         return course.gathering.mean_rays if course.gathering else 0.0
@@ -187,7 +188,7 @@ def timed(seconds, monkeypatch):
     monkeypatch.setattr(course.clock, "total", lambda: 0.01 * rays())
     monkeypatch.setattr(course, "_seconds", lambda: {"rays": 100.0, "replicates": 1.0})
     course.price = ("known",)
-    run(course.through())
+    run(through(course))
     return rays()
 
 

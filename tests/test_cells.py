@@ -164,7 +164,7 @@ def test_cells_that_must_not_work_end_in_the_middle_and_come_back(expected, expe
             cells.limit(left)
             return pids[left:]
 
-        cells_within = "cell_radiosity.core.bake.cells_within"
+        cells_within = "cell_radiosity.core.course.cells_within"
         with pytest.MonkeyPatch.context() as patch:
             show, ended = strike(cells, phase, limit)
             patch.setattr(cells_within, lambda *_, **__: left if ended else 3)

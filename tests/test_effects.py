@@ -452,7 +452,7 @@ def test_light_of_a_closed_lamp_is_the_same_without_its_inside(monkeypatch):
     scene = room(bulb(), lamps=[], materials=[GRAY, BULB])
     scene = replace(scene, polygon_material=np.where(scene.polygon_object == 1, 1, 0).astype(np.int32))
     baked, light = light_of(scene, force=("color",))
-    monkeypatch.setattr("cell_radiosity.core.bake.shut_in", lambda *a: None)
+    monkeypatch.setattr("cell_radiosity.core.course.shut_in", lambda *a: None)
     both, expected = light_of(scene, force=("color",))
     assert baked.rays < both.rays
     area = baked.points.area * (baked.points.object == 0)

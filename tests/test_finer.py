@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from test_accuracy import furnished
 
-from cell_radiosity.core import bake as core_bake
+from cell_radiosity.core import course as core_course
 from cell_radiosity.core.accuracy import Estimate
 from cell_radiosity.core.cells import LocalCells
 from cell_radiosity.core.patches import make_patches
@@ -25,7 +25,7 @@ own_knobs = Settings.for_error.__func__
 @pytest.fixture(autouse=True)
 def coarse(monkeypatch):
     """Patches of a quarter of the scene are the usual ones, for any error, beside sources too: two thirds as long reach 1.25 % here."""
-    monkeypatch.setattr(core_bake, "make_fine_patches", lambda scene, sources, *size: make_patches(scene, *size))
+    monkeypatch.setattr(core_course, "make_fine_patches", lambda scene, sources, *size: make_patches(scene, *size))
     monkeypatch.setattr(
         Settings,
         "for_error",
@@ -77,7 +77,7 @@ def test_what_there_is_can_be_taken_meanwhile():
 
 def test_points_that_were_placed_by_the_light_stay(monkeypatch):
     """What places them is asked once more, with what it has kept: it need not look at the light again."""
-    monkeypatch.setattr(core_bake, "PLACED", 1)  # no more points are foreseen than on vertices
+    monkeypatch.setattr(core_course, "PLACED", 1)  # no more points are foreseen than on vertices
     given = []
 
     def place(scene, flipped, cells, light, kept):
@@ -114,7 +114,7 @@ def test_a_bake_broken_off_before_or_after_goes_on_to_the_same_bits(tmp_path, at
 def test_finer_patches_are_the_last_resort():
     """A bake that ends above its error begins anew with finer patches if what they average away accounts for that, however
     little is certain of the rest; not if more would be missing, and not where the error is reached."""
-    course = core_bake._Course(furnished(), Settings.for_error(0.02), LocalCells())
+    course = core_course.Course(furnished(), Settings.for_error(0.02), LocalCells())
     found = Estimate(total=0.03, interior=0.03, noise=0.013, averaged=0.024)
     for estimate, coarse in (
         (found, True),

@@ -243,7 +243,7 @@ def test_what_is_asked_for_are_the_sides_that_are_written(monkeypatch, side, sid
         assert written.reshape(-1, 2).tolist() == [sides] * len(patches)
         raise InterruptedError
 
-    monkeypatch.setattr("cell_radiosity.core.bake.solve", solve)
+    monkeypatch.setattr("cell_radiosity.core.course.solve", solve)
     scene = join_meshes(
         [box("room", n=4)], [Material("gray", (0.5,) * 3)], [Lamp("point", (1.0,) * 3, (0.5, 0.5, 0.5))]
     )

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 
 from cell_radiosity.core import state as core_state
-from cell_radiosity.core.bake import SOLVED, _Course, bake, restored, run
+from cell_radiosity.core.bake import bake, restored, run
 from cell_radiosity.core.cells import LocalCells
+from cell_radiosity.core.course import SOLVED, Course
 from cell_radiosity.core.settings import Settings
 from cell_radiosity.core.state import FORMAT, StateError, load_state, save_state
 
@@ -173,7 +174,7 @@ def test_carried_on_to_more_rays_is_the_bake_of_the_same_replicates(tmp_path, mo
     state = through(tmp_path / "s", run(bake(room(), few, first)).state())
     result = run(bake(room(), many, second, state=state))
     wanted = iter([[(24, None)], [(60, None)], []])
-    monkeypatch.setattr(_Course, "wanted", lambda course: next(wanted))
+    monkeypatch.setattr(Course, "wanted", lambda course: next(wanted))
     expected = run(bake(room(), many, LocalCells()))
     assert same(result, expected)
     assert not first.traced & second.traced
