@@ -117,7 +117,7 @@ def control_rays(settings, found):
     return next(rays for least, rays in CONTROL_RAYS if error >= least)
 
 
-def control_points(objects=0):
+def control_count(objects=0):
     """How many control points; objects: how many there are, if each is to reach the error, else 0."""
     return min(max(CONTROL_POINTS, EACH_OBJECT * objects), MOST_CONTROL_POINTS)
 

@@ -16,7 +16,7 @@ import numpy as np
 from .accuracy import CROWDED, MOST_RAYS, Estimate, estimate_error, rays_by_object, rays_wanted
 from .averages import Averages, places_wanted
 from .budget import cells_within
-from .choices import control_points, control_rays, eased, finer, goes_on, more_control, obstructed, parted, shadowless
+from .choices import control_count, control_rays, eased, finer, goes_on, more_control, obstructed, parted, shadowless
 from .clock import Clock
 from .contacts import cut_contacts
 from .control import Control, Traced, draw_control
@@ -254,7 +254,7 @@ class Course:
             yield from self.gather()
         if len(self.points) and self.control is None:
             each = self.settings.per_object
-            count = control_points(len(np.unique(self.points.object)) if each else 0)
+            count = control_count(len(np.unique(self.points.object)) if each else 0)
             yield from self._smooth()
             drawn = draw_control(self.points, self._light(), count, each)
             traced = Traced(rounds=self._known.traced.rounds) if self._known and self._known.traced else None

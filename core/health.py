@@ -261,7 +261,7 @@ def _tiny(scene):
 
 def _too_white(scene):
     """Findings about surfaces that send back all light, or more, where that leaves light no end."""
-    most = np.array([max(_share(m.reflectance)) + max(_share(m.translucency)) for m in scene.materials])
+    most = np.array([max(_numbers(m.reflectance)) + max(_numbers(m.translucency)) for m in scene.materials])
     white = scene.triangle_polygon[scene.usable]
     white = np.unique(white[most[scene.polygon_material[white]] > LARGEST_REFLECTANCE])
     if not len(white):
@@ -276,7 +276,7 @@ def _too_white(scene):
             yield Finding(name, "a reflectance of 1 in a closed room: its light has no steady state", "0.999 was taken")
 
 
-def _share(values):
+def _numbers(values):
     """Values with what is no number at 0."""
     values = np.asarray(values, float)
     return np.where(np.isnan(values), 0.0, values)
@@ -296,7 +296,7 @@ def _closed_in_white(scene, white):
     start = np.repeat(start[order][number < WALKS], 2)
     caster = RayCaster(scene.vertices, scene.triangles, scene.usable)
     lamps = [np.asarray(lamp.position, float) for lamp in scene.lamps if lamp.kind != "sun" and _works(lamp)]
-    glows = np.array([max(_share(m.exitance)) > 0 for m in scene.materials])
+    glows = np.array([max(_numbers(m.exitance)) > 0 for m in scene.materials])
     u, v = lattice(len(start))
     place = scene.vertices[scene.triangles[start]].mean(axis=1)
     normal = scene.triangle_normal_area[0][start] * np.where(np.arange(len(start)) % 2, -1.0, 1.0)[:, None]

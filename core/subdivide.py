@@ -15,12 +15,12 @@ from math import inf
 
 import numpy as np
 
+from .pieces import WELD
 from .points import SAME_NORMAL, make_points
 from .remesh import Remesh
 from .surfaces import Readings
 from .vectors import TINY, counted, dot, numbered, unit
 
-WELD = 1e-6  # of the scene's diagonal: vertices closer than this are one
 
 
 @dataclass(frozen=True)
