@@ -22,7 +22,6 @@ from .surfaces import Readings
 from .vectors import TINY, counted, dot, numbered, unit
 
 
-
 @dataclass(frozen=True)
 class Fitting:
     """How fine a mesh is to be. max_edge: the longest edge that is left [m], as far as vertices allow it. min_edge: no
