@@ -35,6 +35,7 @@ BATCH_SHARE = 0.5
 FACING = 256  # patches that tell how many are in front of a side
 AT_ONCE = 1 << 16  # rays of the rows that a solver step gathers over at a time: their light stays in the cache
 KRYLOV = 8  # directions that the solve combines at a time
+CERTAIN = 3.0  # standard errors that power gathered and power sent may differ by, where they are of the same sides
 LEAST_COVERAGE = 1e-3  # of a patch, which keeps its irradiance finite
 SWEEPS = 2000  # of the solve, at most
 ENDLESS = 1 << 62  # bytes: as much memory as it takes
@@ -136,14 +137,28 @@ class RayRows:
 
     def gather(self, light, beyond):
         """(C, K) irradiance of the rows' sides, from light (C, 2 N) of the sides they hit and (C, M) of the sky's cells."""
-        light = np.column_stack([light, beyond])
         result = np.empty((len(light), len(self.sides)))
+        for c, part, seen in self._seen(np.column_stack([light, beyond])):
+            np.einsum("kn->k", seen, out=result[c, part])
+        return result / self.rays
+
+    def among(self, light, beyond):
+        """What rays from the rows' sides to one another bring of light (C, 2 N): the mean of all of a row's rays (C, K), the
+        mean of its square (C, K), and the share of rays that meet such a side (K,). beyond: number of the sky's cells."""
+        light = np.concatenate([light, np.ones((1, self.count))]) * self.kept
+        mean, square = np.empty((2, len(light), len(self.sides)))
+        for c, part, seen in self._seen(np.column_stack([light, np.zeros((len(light), beyond))])):
+            np.einsum("kn->k", seen, out=mean[c, part])
+            np.einsum("kn,kn->k", seen, seen, out=square[c, part])
+        return mean[:-1] / self.rays, square[:-1] / self.rays, mean[-1] / self.rays
+
+    def _seen(self, light):
+        """Yield, channel by channel for some rows at a time, the channel's number, the rows, a slice, and the light (K, n) that
+        their rays meet, of light (C, 2 N + M)."""
         for part in runs(len(self.sides), self.rays, AT_ONCE):
             hits = self.hits[part].reshape(-1).astype(np.intp)  # once for all channels
-            for channel, mean in zip(light, result):
-                seen = np.take(channel, hits, mode="wrap").reshape(-1, self.rays)
-                np.einsum("kn->k", seen, out=mean[part])
-        return result / self.rays
+            for c, channel in enumerate(light):
+                yield c, part, np.take(channel, hits, mode="wrap").reshape(-1, self.rays)
 
     def escaped(self, start=0):
         """(K,) share of the light that escapes, of the rows from `start` on."""
@@ -342,6 +357,12 @@ class Transport:
             start, largest = irradiance[:, sides], surfaces.returned[:, sides]
             values, sweeps, bound = fixed_point(update, start, largest, self.area[sides], target, self.island[sides])
             irradiance[:, sides] = values
+        return self._shot(irradiance), sweeps, bound
+
+    def _shot(self, irradiance):
+        """Let what has been shot be what an irradiance (C, 2 N) of the sides with rows says; returns it with that of the
+        others, which get their share."""
+        rows, sides, surfaces = self.rows, self.rows.sides, self.surfaces
         sent = self.area * (surfaces.found + surfaces.send(irradiance))
         arrived, escaped = rows.shoot(sent[:, sides])
         self.escaped = self.loose_escaped + escaped
@@ -349,7 +370,51 @@ class Transport:
         self.unshot = self.own + surfaces.send(self.arrived) - self.loose_shot
         self.unshot[:, sides] -= sent[:, sides]
         irradiance[:, ~rows.kept] = (self.arrived / self.area)[:, ~rows.kept]
-        return irradiance, sweeps, bound
+        return irradiance
+
+    def balanced(self, irradiance):
+        """The irradiance (C, 2 N) that `settle` has found, with what sides with rows get of one another made to be as much
+        as they send: by a factor for each channel, in islands where most light goes round, sent again to be sent again.
+
+        What a side gathers has the noise of its row, and where nearly all light is reflected it piles up: if sides get a
+        thousandth too much of one another, and send on 0.9 of it, all light is a hundredth too bright, and whoever gathers
+        over such light finds a thousandth of it wrong. What they send has no such noise, as all arrives that does not escape.
+        With p what they get, q what they send, and s the part of it that they have not from one another, f in
+        f p = s + f (q - s) is the factor. Where p and q differ by more than the noise explains they are not of the same
+        sides, as where surfaces lie on one another, and tell nothing.
+        """
+        rows, sides, surfaces = self.rows, self.rows.sides, self.surfaces
+        if not (isinstance(rows, RayRows) and len(sides)):
+            return irradiance
+        area, island = self.area[sides], self.island[sides]
+        light = surfaces.found + surfaces.send(irradiance)
+        got, square, share = rows.among(light, self.sky.shape[1])
+        sent = light[:, sides]
+        # Of a ray: the variance of what it brings less what it sends.
+        noise = square - 2 * sent * got + sent * sent * share - (got - sent * share) ** 2
+        if self.guide is not None and len(self.guide):  # whose first light guided rays have found
+            bright = np.zeros_like(light)
+            bright[:, self.guide.sides] = self.first_light[:, self.guide.sides]
+            got = got + self.guided[:, sides] - rows.among(bright, self.sky.shape[1])[0]
+        before = irradiance.copy()
+        before[:, sides] -= got
+        first = (surfaces.found + surfaces.send(before))[:, sides]
+        whole, p, q, s, variance = (
+            np.stack([np.bincount(island, channel) for channel in values])
+            for values in (
+                sent * area,
+                got * area,
+                share * sent * area,
+                share * first * area,
+                noise / rows.rays * area**2,
+            )
+        )
+        certain = ((p - q) ** 2 <= CERTAIN**2 * variance).all(axis=0)
+        chosen = certain & (2 * (q - s).sum(axis=0) > whole.sum(axis=0))
+        factor = np.where(chosen, ratio(s, p - (q - s)), 1.0)
+        irradiance = irradiance.copy()
+        irradiance[:, sides] += (factor[:, island] - 1) * got
+        return self._shot(irradiance)
 
     def reflected(self, bounces):
         """(C, 2 N) light that sides with rows send back or through, of light that was sent so less than `bounces` times
@@ -548,7 +613,7 @@ def solve(patches, surfaces, sky, cells, settings, survey=None, known=None, writ
             yield rounds[-1]
     finally:
         state.rows = _brought(state.rows, in_flight, cells)  # there are some if it was broken off
-    found = state.solution(irradiance, rounds, sweeps, target)
+    found = state.solution(state.balanced(irradiance), rounds, sweeps, target)
     return found if settings.bounces is None else replace(found, reflected=state.reflected(settings.bounces))
 
 

@@ -48,11 +48,12 @@ def test_spherical_cavity(cells):
 
 
 def test_mean_identity_at_high_reflectance(cells, rng):
-    """Closed, one reflectance, any exitance: mean B = mean E / (1 - rho). A cap on bounces fails here."""
+    """Closed, one reflectance, any exitance: mean B = mean E / (1 - rho). A cap on bounces fails here, and so do rows whose
+    noise piles up, by some percent."""
     materials = [gray(0.95, e) for e in rng.uniform(0, 1, 6)]
     room = join_meshes([box(n=8, materials=dict(zip("xXyYzZ", range(6))))], materials)
-    solved = solve_scene(room, cells, found=True, row_rays=64, error=1e-3)
-    assert abs(solved.mean(solved.radiosity)[0] / (solved.mean(solved.surfaces.exitance)[0] / 0.05) - 1) < 0.01
+    solved = solve_scene(room, cells, found=True, row_rays=16, error=1e-3)
+    assert abs(solved.mean(solved.radiosity)[0] / (solved.mean(solved.surfaces.exitance)[0] / 0.05) - 1) < 1e-4
 
 
 def test_cube_of_three_reflectances(cells):

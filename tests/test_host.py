@@ -115,6 +115,73 @@ def test_settled_is_the_dense_solve_of_the_rows(start):
     np.testing.assert_allclose(balance, state.emitted, rtol=1e-9)
 
 
+def bright_room(reflectance, seed, faces="xXyYzZ"):
+    """The Transport of a room of one reflectance, with a block in it, after all its rows have come."""
+    scene = join_meshes(
+        [box(n=4, faces=faces), box("block", (0.3, 0.3, 0.2), (0.6, 0.7, 0.5), 2, False)],
+        [Material("plaster", (reflectance,) * 3)],
+        [Lamp("point", (3.0, 2.0, 1.0), (0.5, 0.2, 0.8))],
+    )
+    patches, (sources, sampled) = make_patches(scene, 0.3), make_sources(scene)
+    cells = LocalCells()
+    cells.start(scene_arrays(scene, patches, sources))
+    sides = np.arange(2 * len(patches))
+    direct, rows = cells.take(
+        [
+            cells.submit("direct", sides=sides, samples=4, seed=0),
+            cells.submit("rows", sides=sides, rays=RAYS, seed=seed),
+        ]
+    )
+    surfaces, store = make_surfaces(scene, patches, sampled), RayRows(len(sides), RAYS, 1e9)
+    state = Transport(patches.area, surfaces, direct["direct"], np.zeros((3, 1)), store)
+    state.add(sides, [rows])
+    return state
+
+
+def light_of(state, irradiance):
+    """Power that arrives on all sides, by an irradiance."""
+    return (state.area * irradiance).sum(axis=1)
+
+
+def test_in_a_bright_room_that_is_closed_all_light_is_absorbed():
+    """The sum of all light is exact, P / (1 - rho), whatever the rows; without the balance it is off by some percent."""
+    off = []
+    for seed in range(4):
+        state = bright_room(0.9, seed)
+        settled, _, _ = state.settle(1e-10)
+        exact = light_of(state, state.direct) / (1 - 0.9)
+        off.append(light_of(state, settled) / exact - 1)
+        np.testing.assert_allclose(light_of(state, state.balanced(settled)), exact, rtol=1e-7)
+        np.testing.assert_allclose(state.unshot.sum(axis=1), 0.0, atol=1e-7 * exact.min())
+    assert np.abs(off).max() > 0.01
+
+
+def test_a_balance_takes_noise_off_a_bright_room_with_a_wall_missing():
+    """Seeds scatter about the same mean, and less; what rows miss of what escapes is left."""
+    sums = []
+    for seed in range(40):
+        state = bright_room(0.9, seed, "xyYzZ")
+        settled, _, _ = state.settle(1e-10)
+        sums.append((light_of(state, settled)[0], light_of(state, state.balanced(settled))[0]))
+    before, after = np.transpose(sums)
+    assert after.std() < 0.85 * before.std()
+    assert abs(after.mean() - before.mean()) < 3 * before.std() / np.sqrt(40)
+
+
+def test_nothing_is_balanced_where_it_does_not_matter_or_cannot_be():
+    """Where little light is reflected, and where rays never meet sides that gather, as of surfaces that lie on others."""
+    state = bright_room(0.3, 0)
+    settled, _, _ = state.settle(1e-10)
+    np.testing.assert_array_equal(state.balanced(settled), settled)
+
+    state = bright_room(0.9, 0)
+    wall = np.flatnonzero(state.direct[0] > 3 * state.direct[0].mean())  # where the lamp is close
+    hits = state.rows.hits
+    hits[np.isin(hits, wall)] = np.argmin(np.where(state.direct[0] > 0, state.direct[0], np.inf))
+    settled, _, _ = state.settle(1e-10)
+    np.testing.assert_array_equal(state.balanced(settled), settled)
+
+
 @pytest.mark.parametrize("largest", [0.3, 0.9, 0.999])
 def test_fixed_point_keeps_its_bound(rng, largest):
     """Random rows with sums of `largest`: the bound is never below the true error, and few updates are needed."""
