@@ -318,7 +318,8 @@ class Lightmaps:
 
     def _make(self, layer, result, group=None):
         colors = texel_colors(result, self.atlas, layer, group)
-        return make_images(self.atlas, result.points, colors.T, self.seams)
+        seams = self.seams.in_one_material() if layer == "Radiosity" else self.seams
+        return make_images(self.atlas, result.points, colors.T, seams)
 
     def writing(self, context, targets, step=inf):
         """Write images and copies, in steps; returns Findings."""

@@ -321,7 +321,7 @@ class Seams:
     """Pairs of places in images that are one place of the surface: S of them, as weights of texels.
 
     left, right: (S, 4) numbers of texels among all images' (image * height + line) * width + column; left_weight,
-    right_weight: (S, 4). object: (S, 2) the objects that meet.
+    right_weight: (S, 4). object: (S, 2) the objects that meet; material: (S, 2) their materials there.
     """
 
     left: np.ndarray
@@ -329,6 +329,12 @@ class Seams:
     left_weight: np.ndarray
     right_weight: np.ndarray
     object: np.ndarray
+    material: np.ndarray
+
+    def in_one_material(self):
+        """Those of the Seams where one material goes on: elsewhere a surface may look different on both sides."""
+        kept = self.material[:, 0] == self.material[:, 1]
+        return Seams(**{name: values[kept] for name, values in vars(self).items()})
 
     def differences(self, values):
         """(C, S) of values (C, N) at the texels: what the image shows on the left, less that on the right."""
@@ -369,8 +375,8 @@ def find_seams(scene, atlas, flipped, caster):
     met &= dot(_shading(scene, atlas, row, here), _shading(scene, atlas, other, there)) >= ALIKE
     met = np.flatnonzero(met)
     left, right = _stencils(atlas, row[met], here[met]), _stencils(atlas, other[met], there[met])
-    object = scene.polygon_object[scene.triangle_polygon[atlas.triangle]]
-    return Seams(left[0], right[0], left[1], right[1], np.stack([object[row[met]], object[other[met]]], axis=1))
+    sides = scene.triangle_polygon[atlas.triangle[np.stack([row[met], other[met]], axis=1)]]
+    return Seams(left[0], right[0], left[1], right[1], scene.polygon_object[sides], scene.polygon_material[sides])
 
 
 def _rims(scene, atlas):

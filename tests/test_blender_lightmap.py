@@ -13,7 +13,7 @@ from cell_radiosity.addon.command import main  # noqa: E402
 from cell_radiosity.addon.images import make_image  # noqa: E402
 from cell_radiosity.core.report import SCHEMA  # noqa: E402
 
-from blender_scenes import bake_ours, diffuse, empty, lamp, plane  # noqa: E402
+from blender_scenes import bake_ours, diffuse, empty, glowing, lamp, plane  # noqa: E402
 
 
 def pixels_of(path):
@@ -187,6 +187,24 @@ def test_the_same_bits_again(cells):
         read.append(np.array(counts))
     assert np.array_equal(read[0], read[2])
     assert np.array_equal(read[1], read[3])
+
+
+def test_a_glowing_face_does_not_bleed_into_what_it_is_let_into(cells):
+    """What arrives is matched where they touch, what they look like is not: a lamp in a ceiling looked twice its size."""
+    empty()
+    plane("ceiling", n=1, material=diffuse("gray", (0.5, 0.5, 0.5)))
+    plane("panel", n=1, material=glowing("glow", (1.0, 1.0, 1.0), 50.0), location=(2, 0, 0))
+    lamp("POINT", 100.0, location=(1.0, 0.0, 2.0))
+    job = bake_ours(cells, target="lightmap", texels_per_meter=8.0)
+    ceiling, panel = job.output.images["Radiosity"]
+    assert ceiling.max() < 5.0
+    assert panel.min() > 49.0
+    seams, images = job.output.seams, job.output.images["Lighting"]
+    assert {tuple(sorted(pair)) for pair in seams.object.tolist()} == {(0, 1)}
+    values = np.zeros((3, 2, *job.output.atlas.size.max(axis=0)[::-1]))
+    for k, image in enumerate(images):
+        values[:, k, : image.shape[0], : image.shape[1]] = np.moveaxis(image, -1, 0)
+    assert np.abs(seams.differences(values.reshape(3, -1))).max() < 0.01 * images[0].max()
 
 
 def test_names_that_file_systems_take_for_one(cells, tmp_path):

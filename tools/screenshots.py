@@ -19,18 +19,13 @@ sys.path.insert(0, str(ROOT / "tests"))
 from real_blender import EXTENSION, PROGRAM, RealBlender  # noqa: E402
 from window import Window  # noqa: E402
 
-COLORS = 256  # of a picture's palette
 VIEW = (0, 28, 1058, 800)  # what is kept of the screen: the 3D view with the panel, and the status bar
 SESSION = f"__import__('sys').modules['{EXTENSION}.addon.session'].Session"
 
 
 def keep(window, name):
-    """Take a picture and keep it small."""
-    picture = Image.fromarray(window.picture()).crop(VIEW)
-    palette = picture.quantize(COLORS)
-    picture.quantize(palette=palette, dither=Image.Dither.FLOYDSTEINBERG).save(
-        ROOT / "docs" / f"window_{name}.png", optimize=True
-    )
+    """Take a picture, in all its colors: with fewer, smooth light looks like noise."""
+    Image.fromarray(window.picture()).crop(VIEW).save(ROOT / "docs" / f"window_{name}.png", optimize=True)
 
 
 def choose(window, preset, error):
@@ -50,9 +45,11 @@ def main():
             choose(window, "fine", 0.5)
             time.sleep(1)
             keep(window, "before")
+            choose(window, "error", 0.2)  # which takes long enough
+            time.sleep(1)
             window.click(*window.find_button())
             window.until(f"getattr({SESSION}.running, 'light_error', None) is not None", wait=300)
-            time.sleep(1)
+            time.sleep(3)
             keep(window, "during")
             window.press("Escape")
             window.until(f"{SESSION}.running is None", wait=300)
