@@ -23,21 +23,21 @@ def read_lamp(light, matrix, name, ignored):
 
 
 def read_visibility(object, ignored):
-    """Whether a Blender object takes part in diffuse light; what of its ray visibility and light linking cannot be
-    simulated is added to `ignored`."""
+    """Whether a Blender object takes part in diffuse light, and whether it casts shadows; what of its ray visibility and
+    light linking cannot be simulated is added to `ignored`."""
     name = object.name
     linking = getattr(object, "light_linking", None)
     if linking is not None and (linking.receiver_collection or linking.blocker_collection):
         ignored.append((name, "its light linking: all objects get its light and stand in its way"))
     if object.type == "LIGHT":
-        return object.visible_diffuse
+        return object.visible_diffuse, True
     hidden = [word for word in ("diffuse", "shadow") if not getattr(object, f"visible_{word}", True)]
     if hidden == ["diffuse", "shadow"]:
         ignored.append((name, "it is hidden from diffuse and shadow rays: it was left out of the bake"))
-        return False
-    if hidden:
-        ignored.append((name, f"it is hidden from {hidden[0]} rays only: it is taken as fully there"))
-    return True
+        return False, False
+    if hidden == ["diffuse"]:
+        ignored.append((name, "it is hidden from diffuse rays only: it is taken as fully there"))
+    return True, hidden != ["shadow"]
 
 
 def _point(light, power, scale, common, ignored):

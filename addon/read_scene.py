@@ -104,6 +104,7 @@ def _reading(context, wanted, shared, spacing, step):
         step, join_meshes, meshes, reader.materials, lamps + list(suns), world, written, scene.name,
         textures=tuple(reader.textures), shared=np.unique([id(p.shape) for p in placed], return_inverse=True)[1],
         health=tuple(reader.health + findings),
+        shading=None if all(p.shading for p in placed) else np.array([p.shading for p in placed]),
     )  # fmt: skip
     readings = _read_others(context, context.evaluated_depsgraph_get(), reader, joined, placed, orders, corner, spacing)
     ignored = dict.fromkeys([*reader.ignored, *reader.left_out(placed)])
@@ -128,8 +129,10 @@ def _place(depsgraph, rendered, copies, reader, wanted, lamps, placed, deadline)
             continue
         if object.type in LEFT_OUT:
             reader.ignored.append((original.name, f"it is {LEFT_OUT[object.type]}: it is left out"))
-        if object.type in SOLID | {"LIGHT"} and not read_visibility(original, reader.ignored):
-            continue
+        if object.type in SOLID | {"LIGHT"}:
+            there, shading = read_visibility(original, reader.ignored)
+            if not there:
+                continue
         matrix = np.array(instance.matrix_world, float)  # newer Blenders would give float32
         if object.type == "LIGHT":
             lamp = read_lamp(object.data, matrix, original.name, reader.ignored)
@@ -145,7 +148,7 @@ def _place(depsgraph, rendered, copies, reader, wanted, lamps, placed, deadline)
             if shape is None:
                 continue
             own = not instance.is_instance and original.type == "MESH" and (wanted is None or wanted(original.name))
-            placed.append(_Placed(original, shape, matrix, own))
+            placed.append(_Placed(original, shape, matrix, own, shading))
     return True
 
 
@@ -178,12 +181,13 @@ def _read_others(context, depsgraph, reader, scene, placed, orders, corner, spac
 
 @dataclass(frozen=True)
 class _Placed:
-    """A shape where an object or instance stands. own: it is an object whose light is asked for."""
+    """A shape where an object or instance stands. own: it is an object whose light is asked for; shading: it casts shadows."""
 
     original: object
     shape: object
     matrix: np.ndarray
     own: bool
+    shading: bool
 
 
 @dataclass(frozen=True)

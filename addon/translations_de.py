@@ -359,6 +359,7 @@ GERMAN = {
     "there is no lamp or emitting face that anything could stand before": "es gibt keine Lampe oder leuchtende Fläche, vor der etwas stehen könnte",
     "{} emitting faces can shade one another": "{} leuchtende Flächen können einander verdecken",
     "no lamp casts shadows: they are switched off ({})": "keine Lampe wirft Schatten: sie sind abgeschaltet ({})",
+    "{text}; no shadow falls from {}": "{text}; kein Schatten fällt von {}",
     "{text}; no shadow rays go to {}": "{text}; keine Schattenstrahlen gehen zu {}",
     "{text}; without shadows: {}": "{text}; ohne Schatten: {}",
     "no face is turned to a lamp": "keine Fläche ist einer Lampe zugewandt",
@@ -401,7 +402,7 @@ GERMAN = {
     # What is not simulated.
     "its light linking: all objects get its light and stand in its way": "ihre Lichtverknüpfung: alle Objekte bekommen ihr Licht und stehen ihm im Weg",
     "it is hidden from diffuse and shadow rays: it was left out of the bake": "es ist vor diffusen und Schattenstrahlen verborgen: es wurde weggelassen",
-    "it is hidden from {} rays only: it is taken as fully there": "es ist nur vor Strahlen der Art {} verborgen: es gilt als ganz vorhanden",
+    "it is hidden from diffuse rays only: it is taken as fully there": "es ist nur vor diffusen Strahlen verborgen: es gilt als ganz vorhanden",
     "an area lamp without area gives no light": "eine Flächenlampe ohne Fläche gibt kein Licht",
     "the light's nodes: only a constant Emission is simulated": "die Nodes der Lampe: nur eine gleichbleibende Emission wird simuliert",
     "{}: its alpha varies ({}): it is taken as opaque": "{}: sein Alpha schwankt ({}): es gilt als undurchsichtig",

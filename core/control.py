@@ -138,7 +138,8 @@ def control_points(kernel, rays, seed, **points):
     bring when they read the patches that they meet [W/m^2]."""
     points = Block(**points)
     found = kernel.arrays["gather.found"]
-    truth = direct_light(kernel, points, kernel.factors_at(points), min(rays, DIRECT_TESTS), FEWEST_TESTS, seed)
+    place = points.ids, points.position, points.normal
+    truth = direct_light(kernel, points, kernel.factors_at(*place), min(rays, DIRECT_TESTS), FEWEST_TESTS, seed)
     patches = np.zeros_like(truth)
     if not (kernel.arrays["gather.reflectance"].any() or kernel.arrays["gather.through"].size or found.size):
         return {"truth": truth, "patches": patches}  # rays bring nothing

@@ -10,7 +10,7 @@ from time import thread_time
 
 import numpy as np
 
-from .lights import FLAT, SUN, test_rays, unlike, unoccluded
+from .lights import FLAT, SUN, test_rays, unlike
 from .sampling import R2, fraction, scatter
 from .vectors import counted, ratio, whole_runs
 
@@ -47,8 +47,8 @@ def light_of_sources(kernel, points, rays, tests, seed):
     ids, position, normal, geometric = points.ids, points.position, points.normal, points.geometric
     free, flat = ~kernel.shadowed, (normal == geometric).all(axis=1)
     if free.all() and flat[:own].all():
-        each = [unoccluded(sources, s, position[:own], normal[:own]) for s in range(len(sources))]
-        return np.einsum("sk,sc->ck", np.stack(each), sources.strength)
+        factor = kernel.factors_at(ids[:own], position[:own], normal[:own])
+        return np.einsum("ks,sc->ck", factor, sources.strength)
     here, there = points.edges
     origin = kernel.caster.start(position, geometric)
 
@@ -69,7 +69,7 @@ def light_of_sources(kernel, points, rays, tests, seed):
                 total[part] = np.add.reduceat(weight, start[:-1][part] - start[part.start])
         return sums
 
-    factor = kernel.factors_at(points)
+    factor = kernel.factors_at(ids, position, normal)
     possible = factor * sources.strength.max(axis=1)
     share = ratio(possible, possible.sum(axis=1, keepdims=True))
     first = np.stack([_tests(kernel, s, position, share[:, s], tests) for s in range(len(sources))], axis=1)

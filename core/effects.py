@@ -187,11 +187,17 @@ class _Look:
         pieces = int(self._piece.max(initial=-1)) + 1
         nodes = [2 * self._piece[scene.triangle_polygon], 2 * self._piece[scene.triangle_polygon] + 1]
         lit, open_to_sky = np.zeros(2 * pieces, bool), np.zeros(2 * pieces, bool)
+        # Light straight from sources goes on behind what casts no shadow.
+        both = (False,) if scene.shading is None else (False, True)
+
+        def light(*rays):
+            for shading in both:
+                lit[_nodes_met(nodes, *self._hits(*rays, shading))] = True
+
         strongest = sorted(self.lamps, key=lamp_power, reverse=True)[:MOST_LAMPS]
         for lamp in strongest:
             if lamp.shadows and lamp.kind != "sun":
-                hit, back = self._hits(*_lamp_rays(lamp))
-                lit[_nodes_met(nodes, hit, back)] = True
+                light(*_lamp_rays(lamp))
         through = [lamp for lamp in strongest if not lamp.shadows]
         if through:  # what is turned to them is lit
             least, most = find_heights(*self.planes(), *self.places(through))
@@ -199,8 +205,7 @@ class _Look:
                 lit[side[self.usable[turned]]] = True
         glowing, number = self._glowing()
         for side in (0, 1):
-            hit, back = self._hits(*face_rays(scene, glowing, number, side))
-            lit[_nodes_met(nodes, hit, back)] = True
+            light(*face_rays(scene, glowing, number, side))
         # Both sides of what light passes through are one.
         thin = np.unique(self._piece[self.materials.thin[scene.polygon_material]])
         here, there = [2 * thin], [2 * thin + 1]
@@ -221,12 +226,16 @@ class _Look:
                 open_to_sky[node[~met]] = True
                 self.escaped[side] += np.count_nonzero(~met)
                 self.met += np.count_nonzero(met)
+                for shading in both[1:]:
+                    free = self._hits(position, normal, direction, shading)[0] < 0
+                    open_to_sky[node[free]] = True
+                    self.escaped[side] += np.count_nonzero(free & met)
                 returned = self.materials.returned[scene.polygon_material[scene.triangle_polygon[hit[met]]]]
                 self.meets = max(self.meets, float(returned.max(initial=0.0)))
                 for toward in suns:
                     faces = np.flatnonzero((dot(normal, toward) > 0) & ~lit[node])
                     toward = np.broadcast_to(toward, (len(faces), 3))
-                    free = faces[self._hits(position[faces], normal[faces], toward)[0] < 0]
+                    free = faces[self._hits(position[faces], normal[faces], toward, both[-1])[0] < 0]
                     lit[node[free]] = True
             self._join(np.concatenate(here), np.concatenate(there), lit, open_to_sky)
             if self._settled():
@@ -319,10 +328,10 @@ class _Look:
     def _framed(self, places):
         return (places - self.scene.bounds.mean(axis=0)) / max(self.scene.diagonal, 1e-300)
 
-    def _hits(self, position, normal, direction):
-        """Triangle (K,), -1 where a ray escapes, and whether it met its back (K,)."""
+    def _hits(self, position, normal, direction, shading=False):
+        """Triangle (K,), -1 where a ray escapes, and whether it met its back (K,); shading: of what casts shadows."""
         tasks = [
-            self._cells.submit("cast", position=position[p], normal=normal[p], direction=direction[p])
+            self._cells.submit("cast", position=position[p], normal=normal[p], direction=direction[p], shading=shading)
             for p in runs(len(position), most=TASK_RAYS)
         ]
         found = self._cells.take(tasks)
@@ -409,9 +418,12 @@ def _two_sided(look):
 
 
 def _occlusion(look, two_sided, reflects):
-    """Whether anything can stand before a source, or, where light is reflected, between one surface and another. Lamps that
-    cast no shadow are told."""
+    """Whether anything can stand before a source, or, where light is reflected, between one surface and another. Lamps and
+    objects that cast no shadow are told."""
     distant, effect = _bright_sky(look), _geometric_occlusion(look, two_sided, reflects)
+    if effect.needed and look.scene.shading is not None:
+        clear = [name for name, shading in zip(look.scene.objects, look.scene.shading) if not shading]
+        effect = replace(effect, reason=f"{effect.reason}; no shadow falls from {_some(clear)}")
     if not effect.needed or not look.shadowless:
         return effect
     names = _some([lamp.name for lamp in look.shadowless])

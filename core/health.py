@@ -295,7 +295,7 @@ def _closed_in_white(scene, white):
     number = np.arange(len(order)) - np.searchsorted(owner[order], owner[order])
     start = np.repeat(start[order][number < WALKS], 2)
     caster = RayCaster(scene.vertices, scene.triangles, scene.usable)
-    lamps = [np.asarray(lamp.position, float) for lamp in scene.lamps if lamp.kind != "sun" and _works(lamp)]
+    lamps = [lamp for lamp in scene.lamps if lamp.kind != "sun" and _works(lamp)]
     glows = np.array([max(_numbers(m.exitance)) > 0 for m in scene.materials])
     u, v = lattice(len(start))
     place = scene.vertices[scene.triangles[start]].mean(axis=1)
@@ -305,8 +305,11 @@ def _closed_in_white(scene, white):
     for bounce in range(BOUNCES):
         origin = caster.start(place, normal)
         for lamp in lamps:
-            facing = dot(lamp - place, normal) > 0
-            lit[alive] |= facing & ~caster.blocked(origin, np.broadcast_to(caster.place(lamp), origin.shape))
+            position = np.asarray(lamp.position, float)
+            facing = dot(position - place, normal) > 0
+            if lamp.shadows:
+                facing &= ~caster.blocked(origin, np.broadcast_to(caster.place(position), origin.shape))
+            lit[alive] |= facing
         shift = scatter(alive * 2 + np.array([[0], [1]]), 31 + bounce)
         local = hemisphere(fraction(u[alive] + shift[0]), fraction(v[alive] + shift[1]))
         t1, t2 = tangents(normal)

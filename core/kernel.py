@@ -30,6 +30,7 @@ def cast_arrays(scene, veiled=False):
     alpha = make_alpha(scene, veiled)
     return {
         "scene.vertices": scene.vertices, "scene.triangles": scene.triangles, "scene.usable": scene.usable,
+        "scene.shading": NONE if scene.shading is None else scene.shading[scene.polygon_object[scene.triangle_polygon]],
         **({"scene.alpha.kind": NONE} if alpha is None else to_arrays("scene.alpha", alpha)),
     }  # fmt: skip
 
@@ -58,7 +59,10 @@ class Kernel:
     @cached_property
     def caster(self):
         alpha = from_arrays(Alpha, "scene.alpha", self.arrays) if len(self.arrays["scene.alpha.kind"]) else None
-        return RayCaster(self.vertices, self.triangles, self.arrays["scene.usable"], alpha)
+        shading = self.arrays["scene.shading"]
+        return RayCaster(
+            self.vertices, self.triangles, self.arrays["scene.usable"], alpha, shading if len(shading) else None
+        )
 
     @property
     def vertices(self):
@@ -141,14 +145,13 @@ class Kernel:
         shape = int(self.arrays["points.count"]), len(self.sources)
         return np.full(shape, np.nan) if shape[0] * shape[1] <= MOST_FACTORS else None
 
-    def factors_at(self, block):
-        """(N, S) those at the points of a Block."""
-        ids = block.ids
+    def factors_at(self, ids, position, normal):
+        """(N, S) those at points ids (N,), with their positions and normals (N, 3)."""
         if not len(self.sources):
             return np.zeros((len(ids), 0))
         new = slice(None) if self.factors is None else np.isnan(self.factors[ids, 0])
-        position, normal = block.position[new], block.normal[new]
-        found = np.stack([unoccluded(self.sources, s, position, normal) for s in range(len(self.sources))], axis=1)
+        place = position[new], normal[new]
+        found = np.stack([unoccluded(self.sources, s, *place) for s in range(len(self.sources))], axis=1)
         if self.factors is None:
             return found
         self.factors[ids[new]] = found

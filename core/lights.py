@@ -343,13 +343,13 @@ def test_rays(sources, s, caster, position, normal, geometric, start, a, b):
         start, a, toward = np.take(start, cast, axis=0), np.take(a, cast), take(toward, cast)
         aim = None if endless else take(aim, cast)
     if endless:
-        blocked = caster.blocked_toward(start, toward.astype(np.float32), a)
+        blocked = caster.shaded_toward(start, toward.astype(np.float32), a)
     elif sources.kind[s] == FLAT:
         # Aim at a place just above the face, on the side that is seen: the face does not block itself.
         up = np.multiply.outer(sources.direction[s], np.sign(-dot(toward, sources.direction[s]))).T
-        blocked = caster.blocked(start, caster.start(aim, up), a)
+        blocked = caster.shaded(start, caster.start(aim, up), a)
     else:
-        blocked = caster.blocked(start, caster.place(aim), a, reach=SHORT)
+        blocked = caster.shaded(start, caster.place(aim), a, reach=SHORT)
     seen = weight.copy()
     seen[cast[blocked]] = 0.0
     caster.note(effect_of(sources.origin[s]), begun)

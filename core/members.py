@@ -109,9 +109,9 @@ class Members:
                 continue
             own = chosen[cast]
             if lift is None:
-                blocked = caster.blocked(start[own], caster.place(aim[cast]), a[own], reach=SHORT)
+                blocked = caster.shaded(start[own], caster.place(aim[cast]), a[own], reach=SHORT)
             else:
-                blocked = caster.blocked(start[own], caster.start(aim[cast], lift[cast]), a[own])
+                blocked = caster.shaded(start[own], caster.start(aim[cast], lift[cast]), a[own])
             seen[own] = ~blocked
         return factor, seen
 

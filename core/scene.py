@@ -138,6 +138,8 @@ class Scene:
     textures: tuple of surfaces.Texture; corner_uv: (C, 2) where each corner lies in its material's texture.
     readings: a surfaces.Readings of colors that replace those of the materials.
     shared: (O,) int number of the mesh that each object is a copy of; None: each has its own.
+    shading: (O,) bool, objects that cast shadows; light straight from lamps, faces and sky goes through the others, which rays
+    for reflected light meet all the same. None: all do.
     health: findings, and ignored: (object, reason) pairs, of whoever read the scene.
     left_out: (P,) bool, polygons with broken vertices, and double: (P,) bool, polygons that lie on others and take no
     part, as found by health.mend; mended: it has been there.
@@ -160,6 +162,7 @@ class Scene:
     corner_uv: np.ndarray | None = None
     readings: object | None = None
     shared: np.ndarray | None = None
+    shading: np.ndarray | None = None
     health: tuple = ()
     ignored: tuple = ()
     name: str = "scene"

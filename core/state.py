@@ -170,6 +170,7 @@ def scene_prints(scene):
         shape = (
             scene.vertices[vertex], vertex - vertex[:1].sum(), np.diff(scene.polygon_start[polygon[o] : polygon[o + 1] + 1]),
             scene.corner_normal[c], scene.triangle_corner[t] - corner[o], scene.left_out[p], scene.double[p],
+            scene.shading is None or scene.shading[o],
         )  # fmt: skip
         geometry.append((name, _print(*shape)))
         used, which = np.unique(material, return_inverse=True)

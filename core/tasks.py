@@ -22,11 +22,13 @@ def wait(kernel, seconds, sizes, carried=()):
     return {str(k): np.zeros(size) for k, size in enumerate(sizes)}
 
 
-def cast(kernel, position, normal, direction):
+def cast(kernel, position, normal, direction, shading=False):
     """{"triangle": (K,) int32, "back": (K,) bool, "distance": (K,) float32 in scene diagonals}: what rays from just above
-    places on surfaces (K, 3) meet."""
+    places on surfaces (K, 3) meet; shading: of what casts shadows."""
     caster = kernel.caster
-    triangle, _, _, distance, back = caster.hits(caster.start(position, normal), direction.astype(np.float32))
+    triangle, _, _, distance, back = caster.hits(
+        caster.start(position, normal), direction.astype(np.float32), shading=shading
+    )
     return {"triangle": triangle, "back": back, "distance": distance}
 
 

@@ -57,10 +57,10 @@ def test_share_that_passes():
     assert back.all()
     for height, blocked in ((0.2, 0.0), (0.5, 0.5), (0.8, 0.85)):
         target = kernel.caster.place(kernel.caster.frame[0] + start / kernel.caster.frame[1] + (0, 0, height))
-        assert kernel.caster.blocked(start, target).mean() == pytest.approx(blocked, abs=spread)
+        assert kernel.caster.shaded(start, target, None).mean() == pytest.approx(blocked, abs=spread)
     open_above = join_meshes(sheets[:3], scene.materials)
     kernel, start, up = rays_up(open_above)
-    assert kernel.caster.blocked_toward(start, up).mean() == pytest.approx(0.85, abs=spread)
+    assert kernel.caster.shaded_toward(start, up).mean() == pytest.approx(0.85, abs=spread)
 
 
 def test_nothing_caps_how_often_a_ray_goes_on():
@@ -70,7 +70,7 @@ def test_nothing_caps_how_often_a_ray_goes_on():
         [Material(), Material(alpha=0.02)],
     )
     kernel, start, up = rays_up(scene)
-    through = 1 - kernel.caster.blocked_toward(start, up).mean()
+    through = 1 - kernel.caster.shaded_toward(start, up).mean()
     assert through == pytest.approx(0.98**40, abs=5 * 0.5 / np.sqrt(len(start)))
 
 

@@ -127,6 +127,26 @@ def test_lamp_without_shadows_like_cycles(cells, name):
             assert abs(found.mean() / expected[one.name].mean() - 1) < 0.015, layer
 
 
+@pytest.mark.parametrize("name", ["soft point", "wide sun", "square"])
+def test_object_without_shadow_like_cycles(cells, name):
+    """Light straight from a lamp goes through it, and what is reflected meets it."""
+    kind = {"wide sun": dict(kind="SUN", angle=0.5), **{k: v for k, (v, _) in KINDS.items()}}[name]
+    empty()
+    paint = diffuse("white", (0.8, 0.8, 0.8))
+    ground = plane(size=3.0, n=6, material=paint)
+    plane("screen", size=1.2, n=1, location=(0.2, 0.3, 0.6), material=paint).visible_shadow = False
+    plane("other", size=0.5, n=1, location=(-0.8, -0.5, 0.5), material=paint)
+    lamp(
+        energy=60.0 if kind["kind"] != "SUN" else 3.0, location=(0.6, -0.9, 1.8), rotation_euler=(0.5, 0.3, 0.2), **kind
+    )
+    job = bake_ours(cells, layers=("Direct", "Indirect"), error=0.005)
+    assert not job.result.scene.ignored
+    for layer, part, off in (("Direct", "DIRECT", 0.02), ("Indirect", "INDIRECT", 0.06)):
+        expected, found = bake_cycles(["plane"], 4096, [part])["plane"], colors(ground.data, layer)
+        assert np.sqrt(((found - expected) ** 2).mean()) < off * np.sqrt((expected**2).mean()), layer
+        assert abs(found.mean() / expected.mean() - 1) < 0.015, layer
+
+
 def test_lamps_and_meshes_are_placed_in_double_precision():
     """Whatever a Blender's matrices are made of: the axes of a turned lamp are unit vectors, at right angles, to 1e-15."""
     empty()
@@ -221,14 +241,17 @@ def test_ray_visibility_and_linking():
     gone = plane("gone", size=1.0, n=1, location=(0, 0, 1))
     gone.visible_diffuse = gone.visible_shadow = False
     half = plane("half", size=1.0, n=1, location=(0, 0, 3))
-    half.visible_shadow = False
+    half.visible_diffuse = False
+    clear = plane("clear", size=1.0, n=1, location=(0, 0, 4))
+    clear.visible_shadow = False
     lamp("POINT", location=(0, 0, 2)).visible_diffuse = False
     linked = lamp("SPOT", location=(0, 0, 2))
     linked.light_linking.receiver_collection = bpy.data.collections.new("some")
     bpy.context.view_layer.update()
     scene, _ = read_scene(bpy.context)
-    assert set(scene.objects) == {"plane", "half"}
+    assert dict(zip(scene.objects, scene.shading)) == {"plane": True, "half": True, "clear": False}
     assert [x.kind for x in scene.lamps] == ["spot"]
     said = dict(scene.ignored)
-    assert "shadow" in said["half"]
+    assert "diffuse" in said["half"]
+    assert "clear" not in said
     assert [r.split(":")[0] for o, r in scene.ignored if o == "SPOT"] == ["its light linking"]

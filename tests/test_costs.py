@@ -40,14 +40,14 @@ def rays(monkeypatch):
         monkeypatch.setitem(cells_module.TASKS, name, counted(name, function))
     monkeypatch.setattr(gather, "_links", counted("links", gather._links))  # from point to point
 
-    def cast(self, origins, directions, real=RayCaster._run, **options):
+    def cast(self, among, origins, directions, real=RayCaster._run, **options):
         count[task[0], self.asking] += len(origins)
-        return real(self, origins, directions, **options)
+        return real(self, among, origins, directions, **options)
 
-    def setting_out(self, origins, directions, *rest, real, asking, **options):
-        count["first"] += len(origins)
+    def setting_out(self, *rest, real, asking, **options):
+        count["first"] += len(rest[-1 - asking])
         self.asking = asking
-        return real(self, origins, directions, *rest, **options)
+        return real(self, *rest, **options)
 
     monkeypatch.setattr(RayCaster, "asking", False, raising=False)
     monkeypatch.setattr(RayCaster, "_run", cast)

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cell_radiosity.core import effects
+from cell_radiosity.core import effects, kernel
 from cell_radiosity.core.cells import LocalCells
 from cell_radiosity.core.choices import EVEN
 from cell_radiosity.core.effects import survey
@@ -344,6 +344,21 @@ def test_no_ray_looks_for_shadows_in_a_convex_room():
     tested, _ = light_of(black, force=("occlusion",))
     assert tested.rays - free.rays > 4 * len(free.points)
     assert tested.rays > free.rays + len(tested.points)
+
+
+def test_light_that_nothing_hides_is_found_once_for_all_replicates(monkeypatch):
+    """And for the control points among them."""
+    found, real = [], kernel.unoccluded
+    monkeypatch.setattr(
+        kernel,
+        "unoccluded",
+        lambda sources, s, position, *rest: found.append(len(position)) or real(sources, s, position, *rest),
+    )
+    lamps = [PANEL, replace(PANEL, position=(0.3, 0.3, 0.9))]
+    baked, _ = light_of(room(lamps=lamps))
+    assert len(baked.state().gathered.replicates) > 1
+    assert baked.state().traced.rounds > 0
+    assert sum(found) == len(lamps) * len(baked.points)
 
 
 @pytest.mark.parametrize("ratio", [1.0, 1e12])

@@ -1,5 +1,5 @@
 """Lamps that cast no shadow: their light goes through everything, no ray looks for what stands before them, and the survey
-says so."""
+says so. And objects that cast none: light straight from sources goes through them."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from cell_radiosity.core.cells import TASKS, LocalCells
 from cell_radiosity.core.effects import survey
 from cell_radiosity.core.flats import MOST_SOURCES
 from cell_radiosity.core.groups import one_group
+from cell_radiosity.core.health import mend
 from cell_radiosity.core.lights import make_sources, unoccluded
 from cell_radiosity.core.raycast import RayCaster
 from cell_radiosity.core.settings import EFFECTS, Settings
@@ -125,7 +126,7 @@ def test_no_ray_looks_for_what_stands_before_them(monkeypatch):
     for name in ("direct", "gather", "control"):
         monkeypatch.setitem(TASKS, name, counted(TASKS[name]))
     monkeypatch.setattr("cell_radiosity.core.gather._links", lambda kernel, points: np.ones(len(points.edges[0]), bool))
-    monkeypatch.setattr(RayCaster, "_stopped", lambda self, o, d, key, **more: tested.append(at_work[0] * len(o)) or real(self, o, d, key, **more))  # fmt: skip
+    monkeypatch.setattr(RayCaster, "_stopped", lambda self, among, o, *rest, **more: tested.append(at_work[0] * len(o)) or real(self, among, o, *rest, **more))  # fmt: skip
 
     def rays(*lamps):
         tested.clear()
@@ -201,3 +202,96 @@ def test_the_same_bits_in_other_cells(cells):
     here, there = baked(scene), baked(scene, cells)
     assert np.array_equal(here.light.direct, there.light.direct)
     assert np.array_equal(here.light.indirect, there.light.indirect)
+
+
+def clear(scene, *names):
+    """A scene in which objects of some names cast no shadow."""
+    return replace(scene, shading=np.array([name not in names for name in scene.objects]))
+
+
+GLOW = Material("glow", (0.0,) * 3, exitance=(9.0,) * 3)
+PANE = sheet("pane", [(0.45, 0.55, 0.9), (0.55, 0.55, 0.9), (0.55, 0.45, 0.9), (0.45, 0.45, 0.9)], material=1)
+SKY = np.zeros((32, 32, 3))
+SKY[15:17, 15:17] = 1000.0
+THROUGH = {
+    "point": dict(lamps=[LAMPS["point"]]),
+    "sun": dict(lamps=[replace(LAMPS["sun"], angle=0.0)], faces="xXyYz"),
+    "area": dict(lamps=[LAMPS["area"]]),
+    "crowd": dict(lamps=[replace(LAMPS["ball"], position=(0.3 + 0.01 * k, 0.5, 0.8)) for k in range(MOST_SOURCES + 8)]),
+    "glowing face": dict(more=[PANE]),
+    "bright sky": dict(world=World(map=SKY), faces="xXyYz"),
+}
+
+
+@pytest.mark.parametrize("alpha", [1.0, 0.5])
+@pytest.mark.parametrize("name", THROUGH)
+def test_direct_light_goes_through_what_casts_no_shadow(name, alpha):
+    """As if it were not there, on all else; and it falls on that too."""
+    parts = {"lamps": [], "more": [], "world": World(), "faces": "xXyYzZ"} | THROUGH[name]
+    materials = [BLACK, GLOW, replace(BLACK, alpha=alpha)]
+    screen = replace(SCREEN, polygon_material=np.full(len(SCREEN.polygon_material), 2, np.int32))
+    shapes = [box("room", n=6, faces=parts["faces"]), BLOCK, *parts["more"]]
+    found, without, with_shadow = (
+        baked(scene, gather_rays=64, light_samples=4, force=("color", "two-sided"))
+        for scene in (
+            clear(join_meshes([*shapes, screen], materials, parts["lamps"], parts["world"]), "screen"),
+            join_meshes(shapes, materials, parts["lamps"], parts["world"]),
+            join_meshes([*shapes, screen], materials, parts["lamps"], parts["world"]),
+        )
+    )
+    others = found.points.object < len(shapes)
+
+    def sorted_light(b):
+        own = np.flatnonzero(b.points.object < len(shapes))
+        place = np.column_stack([b.points.normal, b.points.position])[own].round(5)
+        return b.light.direct[:, own[np.lexsort(place.T)]]
+
+    light, expected, shaded = map(sorted_light, (found, without, with_shadow))
+    size = np.sqrt((expected**2).mean())
+    noise = {"point": 1e-6, "sun": 1e-6}.get(name, 0.04)
+    assert np.sqrt(((light - expected) ** 2).mean()) < noise * size
+    assert np.sqrt(((shaded - expected) ** 2).mean()) > 2.5 * noise * size
+    assert found.light.direct[:, ~others].max() > 0
+
+
+def test_reflected_light_meets_what_casts_no_shadow():
+    """A gray screen in a black room: all that is reflected comes from it."""
+    screen = replace(SCREEN, polygon_material=np.full(len(SCREEN.polygon_material), 1, np.int32))
+    scene = join_meshes([box("room", n=6), screen], [BLACK, GRAY], [LAMPS["point"]])
+    here, there = (baked(s, gather_rays=200) for s in (clear(scene, "screen"), scene))
+    np.testing.assert_allclose(here.light.indirect.sum(), there.light.indirect.sum(), rtol=0.03)
+    assert here.light.direct.sum() > 1.05 * there.light.direct.sum()
+
+
+def test_the_survey_sees_through_what_casts_no_shadow():
+    """A lamp in a closed shade lights the room around it, and a sun or a sky what lies in a closed tent."""
+    shade = box("shade", (0.4, 0.4, 0.6), (0.6, 0.6, 0.9), inward=False)
+    lamp = replace(LAMPS["point"], position=(0.5, 0.5, 0.8))
+    lit = join_meshes([box("room", n=4), shade], [GRAY], [lamp])
+    open_shade = survey(clear(lit, "shade"))
+    assert open_shade.islands == 2
+    assert survey(lit).islands == 1
+    assert open_shade.effects[0].reason.endswith("; no shadow falls from shade")
+    found = baked(clear(lit, "shade"), gather_rays=64)
+    assert (found.light.direct + found.light.indirect)[:, found.points.object == 0].min() > 0
+    for lamps, world in (([LAMPS["sun"]], World()), ([], World(map=SKY))):
+        tent = join_meshes([box("tent", n=4)], [GRAY], lamps, world)
+        for scene, bright in ((tent, False), (clear(tent, "tent"), True)):
+            found = baked(scene, force=())
+            assert (found.light.direct.max() > 0) == bright
+
+
+@pytest.mark.parametrize("shadows", [True, False])
+def test_a_white_room_that_only_light_through_walls_enters(shadows):
+    """Its light has no steady state, if there is any."""
+    scene = room(replace(LAMPS["outside"], shadows=shadows), more=(), materials=(Material("white", (1.0,) * 3),))
+    said = [finding.finding for finding in mend(scene).health]
+    assert any("no steady state" in text for text in said) != shadows
+
+
+def test_a_state_knows_what_cast_shadows():
+    scene = room(LAMPS["area"])
+    state = baked(scene).state()
+    state.check_scene(clear(scene))
+    with pytest.raises(StateError, match="the geometry has changed: screen"):
+        state.check_scene(clear(scene, "screen"))
