@@ -156,7 +156,8 @@ def mean_light(points, links, replicates, groups, diagonal):
     done = rays > 0
     links = links & np.repeat(done, np.diff(points.neighbor_start)) & done[points.neighbor]
     nearness = sum(r.rays * r.nearness.astype(float) for r in replicates)
-    reach = REACH * np.sqrt(np.sqrt(ratio(64.0, rays))) * diagonal * ratio(rays, nearness)
+    # Where no ray meets anything nothing is near: as if one had gone across the scene, and not as if all had ended at once.
+    reach = REACH * np.sqrt(np.sqrt(ratio(64.0, rays))) * diagonal * ratio(rays, np.maximum(nearness, 1.0))
     filter = Filter(points, reach, links)
     direct, found, reflected = (_mean(replicates, name) for name in PARTS)
     changes = [_change(filter, light) for light in (found, reflected)]

@@ -13,7 +13,7 @@ from cell_radiosity.core.cells import LocalCells, make_cells
 from cell_radiosity.core.replicates import Replicate, around, mean_light
 from cell_radiosity.core.settings import Settings
 
-from scenes import Material, box, join_meshes, sheet
+from scenes import Lamp, Material, box, join_meshes, sheet
 
 SETTINGS = Settings.for_error(0.02, gather_rays=48, patch_edge=0.1)
 
@@ -81,3 +81,22 @@ def test_dark_replicates_have_no_light_and_no_noise():
     one = Replicate(8, all_of_them, all_of_them, dark, dark, dark, np.ones(count, np.float32))
     light = mean_light(points, np.ones(len(points.neighbor), bool), [one, one], 1, 1.0)
     assert all(not array.any() for array in light.values())
+
+
+def test_a_point_whose_rays_all_missed_is_smoothed_like_its_neighbors(rng):
+    """Nothing is near it. Where few rays met anything those that met nothing stayed black dots on dim walls."""
+    floor = sheet("floor", [(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], 16, 16)
+    lamp = Lamp("point", (1.0, 1.0, 1.0), (0.5, 0.5, 1.0), radius=0.05)
+    points = run(bake(join_meshes([floor], lamps=[lamp]), replace(SETTINGS, gather_rays=8), LocalCells())).points
+    count, dark = len(points), np.zeros((3, len(points)), np.float32)
+    every, links = np.ones(count, bool), np.ones(len(points.neighbor), bool)
+    missed = np.flatnonzero(np.abs(points.position[:, :2] - 0.5).max(axis=1) < 0.05)
+    replicates = []
+    for _ in range(4):
+        hits = rng.binomial(8, 0.3, count).astype(np.float32)
+        hits[missed] = 0.0
+        replicates.append(Replicate(8, every, every, dark, dark, np.tile(hits / 2.4, (3, 1)), 4.0 * hits / 8))
+    indirect = mean_light(points, links, replicates, 1, 1.0)["indirect"]
+    assert len(missed)
+    assert indirect[:, missed].min() > 0.4
+    np.testing.assert_allclose(indirect.mean(), 1.0, atol=0.03)
