@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from .sampling import scatter
-from .vectors import dot, runs
+from .vectors import dot
 
 MOST_HEIGHTS = 1 << 20  # of a place above a plane, found at a time
 MOST_AT_ONCE = 1 << 22  # the same, where a few planes may do
-FEW = 8  # planes at first, and four times as many each time that these have not found anything out
+FEW = 8  # planes or places at first, and four times as many each time that these have not found everything out
 
 
 def find_planes(normal, offset):
@@ -26,17 +26,38 @@ def find_planes(normal, offset):
     return np.unique((way << 22) + (offset * 1e6).round().astype(np.int64), return_index=True, return_inverse=True)[1:]
 
 
-def find_heights(normal, offset, places, distant=()):
-    """The least and the greatest height (K,) of places (L, 3) above planes (K,), and of what is distant its sine: pairs of
-    the sine of its half angle and the direction (3,) to it."""
-    least, most = np.full(len(normal), np.inf), np.full(len(normal), -np.inf)
-    for part in runs(len(places), len(normal), MOST_HEIGHTS):
-        height = np.einsum("pd,ld->pl", normal, places[part]) - offset[:, None]
-        least, most = np.minimum(least, height.min(axis=1)), np.maximum(most, height.max(axis=1))
+def find_sides(normal, offset, places, distant, gap):
+    """(K,) bool: planes above which something lies, by more than a gap, and planes below which something does.
+
+    normal: (K, 3), offset: (K,) of the planes; places: (L, 3); distant: pairs of the sine of a half angle and the direction
+    (3,) to something that far out, whose height is a sine.
+    """
+    above, below = np.zeros((2, len(normal)), bool)
     for reach, direction in distant:
         rise = dot(normal, direction)
-        least, most = np.minimum(least, rise - reach), np.maximum(most, rise + reach)
-    return least, most
+        above |= rise + reach > gap
+        below |= rise - reach < -gap
+    if not len(places):
+        return above, below
+    # The box of all places tells where none can lie, and a few of them, in any order, where some do: few planes are left.
+    middle, half = (places.max(axis=0) + places.min(axis=0)) / 2, np.ptp(places, axis=0) / 2
+    height, spread = dot(normal, middle) - offset, dot(np.abs(normal), half)
+    may = height + spread > gap, height - spread < -gap
+    places = places[np.argsort(scatter(np.arange(len(places)), 17), kind="stable")]
+    left, step, done = np.arange(len(normal)), FEW, 0
+    while done < len(places):
+        left = left[(may[0] & ~above)[left] | (may[1] & ~below)[left]]
+        step = min(step, max(MOST_HEIGHTS // max(len(left), 1), 1))
+        height = _heights(normal[left], offset[left], places[done : done + step])
+        above[left] |= (height > gap).any(axis=1)
+        below[left] |= (height < -gap).any(axis=1)
+        done, step = done + step, 4 * step
+    return above, below
+
+
+def _heights(normal, offset, places):
+    """(K, L) heights of places (L, 3) above planes (K,)."""
+    return np.einsum("pd,ld->pl", normal, places) - offset[:, None]
 
 
 def find_outlier(normal, offset, places, sign, gap):

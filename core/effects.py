@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from .cells import LocalCells
-from .convexity import find_heights, find_outlier, find_planes
+from .convexity import find_outlier, find_planes, find_sides
 from .flats import emitting_polygons
 from .graphs import components
 from .health import Finding, audit, mend
@@ -194,14 +194,11 @@ class _Look:
             for shading in both:
                 lit[_nodes_met(nodes, *self._hits(*rays, shading))] = True
 
-        strongest = sorted(self.lamps, key=lamp_power, reverse=True)[:MOST_LAMPS]
-        for lamp in strongest:
+        for lamp in sorted(self.lamps, key=lamp_power, reverse=True)[:MOST_LAMPS]:
             if lamp.shadows and lamp.kind != "sun":
                 light(*_lamp_rays(lamp))
-        through = [lamp for lamp in strongest if not lamp.shadows]
-        if through:  # what is turned to them is lit
-            least, most = find_heights(*self.planes(), *self.places(through))
-            for side, turned in zip(nodes, (most > WELD, least < -WELD)):
+        if self.shadowless:  # what is turned to them is lit
+            for side, turned in zip(nodes, find_sides(*self.planes(), *self.places(self.shadowless), WELD)):
                 lit[side[self.usable[turned]]] = True
         glowing, number = self._glowing()
         for side in (0, 1):
@@ -461,12 +458,12 @@ def _geometric_occlusion(look, two_sided, reflects):
         triangle = np.concatenate([triangle, triangle])
     plane, of_face = find_planes(normal, offset)
 
-    least, most = find_heights(normal[plane], offset[plane], places, distant)
-    lit = (most > WELD) | everywhere
+    lit, behind = find_sides(normal[plane], offset[plane], places, distant, WELD)
+    lit |= everywhere
     if not lit.any():
         return Effect("occlusion", False, "no face is turned to a lamp")
     turned = lit[of_face]
-    planes, behind = plane[lit], least[lit] < -WELD
+    planes, behind = plane[lit], behind[lit]
     own = scene.used_vertices(triangle[turned])
     inside = _outlier(scene, normal[planes], offset[planes], own, triangle[planes], +1)
     if inside is None and not behind.any():

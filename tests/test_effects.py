@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cell_radiosity.core import effects, kernel
+from cell_radiosity.core import convexity, effects, kernel
 from cell_radiosity.core.cells import LocalCells
 from cell_radiosity.core.choices import EVEN
 from cell_radiosity.core.effects import survey
@@ -515,6 +515,26 @@ def test_many_lamps_are_judged_by_the_strongest():
     assert light_contrast(room(lamps=faint)) < 0.5 * EVEN
     assert light_contrast(room(lamps=[*faint, near])) > EVEN < light_contrast(room(lamps=[near]))
     assert not decided(room(lamps=faint))["occlusion"][0]
+
+
+@pytest.mark.parametrize("kind", ["in the middle", "all over", "one", "none"])
+def test_sides_of_planes_are_those_of_all_places(kind, rng, monkeypatch):
+    """Of each place alone; most planes are decided by few of them."""
+    count = {"one": 1, "none": 0}.get(kind, 1000)
+    places = rng.uniform(-0.5, 0.5, (count, 3)) * (0.1 if kind == "in the middle" else 1.0)
+    normal = rng.normal(size=(2000, 3))
+    normal /= np.sqrt((normal**2).sum(axis=1))[:, None]
+    offset = rng.uniform(-0.6, 0.6, 2000)
+    offset[:500] = (normal[:500] * rng.uniform(-0.5, 0.5, (500, 3))).sum(axis=1)
+    distant = [(0.01, normal[7]), (0.3, normal[11])] if kind in ("one", "none") else []
+    height = [normal @ place - offset for place in places]
+    height += [normal @ direction + sign * reach for reach, direction in distant for sign in (1, -1)]
+    pairs, real = [], convexity._heights
+    monkeypatch.setattr(convexity, "_heights", lambda n, o, p: pairs.append(len(n) * len(p)) or real(n, o, p))
+    above, below = convexity.find_sides(normal, offset, places, distant, 1e-6)
+    assert np.array_equal(above, (np.array(height) > 1e-6).any(axis=0))
+    assert np.array_equal(below, (np.array(height) < -1e-6).any(axis=0))
+    assert sum(pairs) < 0.2 * len(normal) * max(count, 10)
 
 
 @pytest.mark.parametrize("name", ["a lamp above the ceiling", "a lamp wider than the room", "a vertex pushed in"])
