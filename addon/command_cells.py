@@ -18,7 +18,7 @@ from .errors import Usage
 from .files import context_of, silent
 from .job import check_scene, default_cells, wanted_by
 from .plots import check_plot, plot_cells
-from .progress import say
+from .progress import answer, say
 from .read_scene import read_scene
 from .scene_command import add_scene_file, exit_code, open_scene
 
@@ -74,10 +74,10 @@ def run_cells(arguments):
                 say(f"{run.schedule}, {run.cells} cells, {run.kind}: {run.seconds:.2f} s", to=sys.stderr)
     if replayed:
         say(f"replayed for {replayed} output points: what is done at one of {own} counts {copies} times")
-    say(*table(runs).splitlines())
+    answer(*table(runs).splitlines(), elsewhere=arguments.report)
     law = law_of(scene, settings)
     aimed = convergence(scene, settings) if "dynamic" in arguments.schedule else None
-    say(*convergence_table(runs, law, aimed).splitlines())
+    answer(*convergence_table(runs, law, aimed).splitlines(), elsewhere=arguments.report)
     if arguments.report:
         write_json(as_dictionary(source, runs, law, aimed, replayed), os.path.abspath(arguments.report))
     if arguments.plot:

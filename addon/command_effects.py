@@ -12,7 +12,7 @@ from .arguments import add_scene_options, make_options
 from .errors import Refused
 from .files import context_of, silent
 from .job import wanted_by
-from .progress import say
+from .progress import answer
 from .read_scene import read_scene
 from .scene_command import add_scene_file, exit_code, open_scene
 from .version import version
@@ -47,7 +47,7 @@ def run_effects(arguments):
     found = survey(scene, settings)
     seconds = perf_counter() - begun
     if not arguments.quiet:
-        say(*lines(found))
+        answer(*lines(found), elsewhere=arguments.report)
     if arguments.report:
         report = survey_report(found, scene=source, version=version(), settings=settings, read=read, survey=seconds)
         write_json(report, os.path.abspath(arguments.report))

@@ -22,7 +22,7 @@ from .errors import Refused, told
 from .files import context_of, silent
 from .job import check_scene, wanted_by
 from .plots import check_plot, knob_value, plot_price
-from .progress import Bar, say
+from .progress import Bar, answer, say
 from .read_scene import read_scene
 from .scene_command import add_scene_file, exit_code, open_scene
 
@@ -72,10 +72,10 @@ def run_price(arguments):
             rows, objects, off = _measured(scene, options, prices, cells, reference, bar)
             if arguments.plot:
                 knobs = _turned(scene, settings, cells, off, bar)
-    say(*lines(rows, objects))
+    answer(*lines(rows, objects), elsewhere=arguments.report)
     if arguments.plot:
         falls = slope(_pairs(rows))
-        say(*knob_lines(knobs, falls))
+        answer(*knob_lines(knobs, falls), elsewhere=arguments.report)
         plot_price(rows, objects, knobs, falls, os.path.abspath(arguments.plot), os.path.basename(source))
     if arguments.report:
         report = {"scene": source, "price": rows, "objects": objects, "knobs": knobs, "slope": falls}

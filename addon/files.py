@@ -16,6 +16,7 @@ from ..core.saving import written_whole
 from .errors import Refused
 
 PARTS_END = b"\xb1\xea\x92\x8f"  # of the list of a compressed file's parts
+PARTLY = "only a part of it could be written; is the disk full?"
 FULL = 1 << 16  # bytes that are free on a disk that is full
 
 
@@ -113,8 +114,8 @@ def writing(path, suffix, written=written_whole):
                 if "KeyboardInterrupt" in str(error):  # that an exporter in Python was stopped by
                     raise KeyboardInterrupt from None
                 raise OSError(errno.EIO, _reason(error, place)) from None
-            if not _is_whole(place):  # Blender does not say so
-                raise OSError(errno.EIO, "only a part of it could be written; is the disk full?")
+            if not (os.path.exists(place) and _is_whole(place)):  # Blender does not say so
+                raise OSError(errno.EIO, PARTLY)
     except OSError as problem:
         raise Refused(f"cannot write {path}: {problem.strerror or problem}") from None
 
@@ -144,6 +145,8 @@ def _reason(error, path):
     if shutil.disk_usage(os.path.dirname(path)).free < FULL:
         return os.strerror(errno.ENOSPC)
     text = str(error)
+    if os.strerror(errno.ENOENT) in text:  # of the part that it has removed
+        return PARTLY
     if "Traceback" in text:  # of an exporter in Python: its last line
         lines = [line for line in text.splitlines() if line and not line.startswith((" ", "Location:"))]
         text = lines[-1]

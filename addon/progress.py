@@ -50,6 +50,18 @@ def say(*lines, to=None):
         print("\n".join(map(one_line, lines)), file=to, flush=True)
 
 
+def answer(*lines, elsewhere=None):
+    """Print lines that were asked for. elsewhere: a file that has what they say too, or None: then OSError is raised where they
+    cannot be written, but for a pipe whose reader has read enough."""
+    try:
+        print("\n".join(map(one_line, lines)), flush=True)
+    except BrokenPipeError:
+        pass
+    except OSError as problem:
+        if not elsewhere:
+            raise OSError(problem.errno, problem.strerror, "standard output") from problem
+
+
 def progress_text(progress):
     """Where a bake stands, in words."""
     parts = [progress.phase]

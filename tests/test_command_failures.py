@@ -81,10 +81,10 @@ def test_what_nobody_foresaw_stops_one_scene_alone(scene, monkeypatch, capfd):
     shutil.copy(scene, other)
     save, out = command_bake.save_file, scene.parent / "out"
 
-    def fail(output, source):
-        if source == str(scene):
+    def fail(output):
+        if output == str(out / "room_radiosity.blend"):
             raise ZeroDivisionError("by chance")
-        save(output, source)
+        save(output)
 
     monkeypatch.setattr(command_bake, "save_file", fail)
     code, line = failing(capfd, "bake", scene, other, "-o", out, "--quiet")
@@ -379,6 +379,18 @@ def test_reports_are_written_where_nobody_reads(scene, command, monkeypatch):
     assert json.loads(report.read_text())
 
 
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no /dev/full here")
+@pytest.mark.parametrize("command", ["price --errors 20 --quiet --cells 1", "effects"])
+def test_answers_that_are_lost_are_no_success(scene, command):
+    """To a file on a full disk: one line and exit 1. A reader who has read enough is none of a command's business."""
+    command = " ".join([*RADIOSITY, *command.split(), str(scene)])
+    done = subprocess.run(["bash", "-c", f"{command} > /dev/full"], capture_output=True, text=True)
+    assert done.returncode == 1
+    assert done.stderr == f"radiosity: {scene}: standard output: No space left on device\n"
+    done = subprocess.run(["bash", "-c", f"set -o pipefail; {command} | head -c 0"], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 def test_a_plot_of_bakes_that_are_not_off_at_all(tmp_path):
     """On a scale of powers there is no place for them."""
     pytest.importorskip("matplotlib")
@@ -439,6 +451,7 @@ def test_a_disk_that_is_full(scene, monkeypatch, capfd, options, place, owner, f
     assert code == 1
     assert str(place) in line
     assert "Traceback" not in line
+    assert "No such file" not in line  # which would send its reader to look for a folder
     after = contents(folder)
     assert {**after, **before} == after
     assert after.keys() <= before.keys() | {"lit.blend"}
