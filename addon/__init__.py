@@ -2,9 +2,9 @@
 
 import bpy
 
-from . import operators, panels, preferences, properties, session, translations, viewport
+from . import operators, panels, preferences, properties, result, session, translations, viewport
 
-MODULES = (preferences, properties, operators, panels)
+MODULES = (preferences, result, properties, operators, panels)
 CLASSES = tuple(cls for module in MODULES for cls in module.CLASSES)
 
 _commands = []

@@ -287,6 +287,11 @@ class Lightmaps:
         self.images = {name: self._make(layer, result, group) for name, layer, group in layers}
         self.exposure = exposure_of(self.options, texel_colors(result, atlas, *layers[0][1:]))
         self.scene = scene
+        self._remesh = None if self._uv is not None else triangulated(scene)
+        uv = np.zeros((len(scene.triangles), 3, 2), np.float32)
+        uv[atlas.triangle] = atlas.uv
+        order = np.argsort(scene.triangle_polygon, kind="stable")  # as the remesh has them
+        self._triangle_uv = uv[order].reshape(-1, 2)
         self.findings = tuple(Finding(*f) for f in atlas.findings)
         count = np.bincount(texels.image, minlength=len(atlas.names))
         charts = [len(np.unique(atlas.chart[atlas.image == k])) for k in range(len(atlas.names))]
@@ -335,7 +340,6 @@ class Lightmaps:
                     path = image_path(output, files[number], coded(layer), "png") if output else None
                     copies.append(make_image(f"{name}_{coded(layer)}", encoded, path, "byte"))
                     copies[-1][EXPOSURE] = self.exposure
-        remesh = None if self._uv is not None else triangulated(self.scene)
         findings, sources = [], (yield from source_meshes(context, targets, step))
         lookup = Lookup(context.scene)
         make_room(lookup, targets, sources, copy_names(context.scene))
@@ -347,7 +351,7 @@ class Lightmaps:
             if isinstance(source, Finding):
                 findings.append(source)
                 continue
-            copy = self._copy(lookup, target, source, remesh)
+            copy = self._copy(lookup, target, source)
             number = self._image_of(target)
             if number is not None:
                 show(copy, (images[next(iter(self.images)), number], self.name))
@@ -363,18 +367,15 @@ class Lightmaps:
         )
         return int(self.atlas.image[triangles[0]]) if len(triangles) else None
 
-    def _copy(self, lookup, target, source, remesh):
+    def _copy(self, lookup, target, source):
         """The copy of a target's object that holds its lightmap's UV map. source: its mesh as it is rendered."""
-        if remesh is None:
+        if self._remesh is None:
             return copy_with(lookup, target, source)
-        piece = piece_of(self.scene, remesh, target)
+        piece = piece_of(self.scene, self._remesh, target)
         copy = copy_with(lookup, target, make_mesh(source, source.name, piece))
         carry(copy, carried_by(lookup.target(target)), source, piece)
-        uv = np.zeros((len(self.scene.triangles), 3, 2))
-        uv[self.atlas.triangle] = self.atlas.uv
-        uv = uv[np.argsort(self.scene.triangle_polygon, kind="stable")].reshape(-1, 2)[piece.index]
         layer = copy.data.uv_layers.new(name=UV_MAP, do_init=False)
-        layer.uv.foreach_set("vector", uv.astype(np.float32).reshape(-1))
+        layer.uv.foreach_set("vector", self._triangle_uv[piece.index].reshape(-1))
         return copy
 
 

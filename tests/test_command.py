@@ -79,7 +79,9 @@ def test_default_output_is_beside_the_scene(scene):
 
 
 def test_progress_in_a_log_is_plain_lines(scene):
-    done = subprocess.run([*RADIOSITY, "bake", str(scene)], capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        [*RADIOSITY, "bake", str(scene), "--error", "0.5%"], capture_output=True, text=True, check=True
+    )
     assert "\r" not in done.stderr
     assert "transport, round 1, bound" in done.stderr
     assert "Mrays/s" in done.stderr

@@ -245,7 +245,6 @@ def test_lightmap_and_vertices_agree_and_seams_close(cells):
     seams = seams_of(scene, atlas)
     images = make_images(atlas, mapped.points, light, seams)
     # Vertices in the middle of a flat face or of the ball: the lightmap read there, in any triangle that has them.
-    row, corner = np.unique(scene.triangles[atlas.triangle].reshape(-1), return_index=True)[1] // 3, None
     vertex, first = np.unique(scene.triangles[atlas.triangle].reshape(-1), return_index=True)
     row, corner = np.divmod(first, 3)
     inner = ((scene.vertices[vertex] > 0.01) & (scene.vertices[vertex] < np.array((4, 3, 2.5)) - 0.01)).sum(axis=1) >= 2
