@@ -94,8 +94,7 @@ def shadowless(found):
 
 def goes_on(settings):
     """Whether rays of fine meshes that meet a coarse patch nearby go on. That mends what small things get from what they
-    stand on, which the whole hardly sees, for up to a fifth of the time more; where patches are long because little light
-    is reflected, for up to half."""
+    stand on, and the feet of what stands there, which the whole hardly sees, for up to half of the time more."""
     usual = Settings.for_error(settings.error).patch_edge
     coarse = settings.patch_edge is not None and settings.patch_edge > usual
     return settings.per_object or (settings.error < CLOSE_BELOW and not coarse)
