@@ -112,7 +112,7 @@ def _takes_part(object, rendered, say):
 def _is_written(object, users, options, say):
     """Whether the light of a mesh object is written. users: of each mesh; say: see `_takes_part`."""
     mesh = object.data
-    if object.library or not mesh.is_editable:
+    if object.library or not mesh.is_editable or mesh.override_library:
         say(object, "its mesh is linked from another file", "its light is not written: make it local to bake it")
         return False
     if users[mesh] > 1:

@@ -222,8 +222,10 @@ def _only_instances(placed, wanted):
 
 def _writable(object, users, health):
     """Whether an object's light can be written; if not, `health` says why."""
-    if object.library or not object.data.is_editable:
-        action = f"{NOT_WRITTEN}: make it local, or override it, to bake it"
+    if (
+        object.library or not object.data.is_editable or object.data.override_library
+    ):  # of which files keep no attributes
+        action = f"{NOT_WRITTEN}: make it local to bake it"
         health.append(Finding(object.name, "its mesh is linked from another file", action))
         return False
     if users[object.data] > 1:

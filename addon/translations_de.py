@@ -324,7 +324,7 @@ GERMAN = {
     "they were applied: its mesh is finer than they know": "sie wurden angewandt: sein Mesh ist feiner, als sie wissen",
     "edges of {} m are left, longer than {} m": "Kanten von {} m bleiben, länger als {} m",
     "{} vertices were the most there might be; --vertices sets another limit": "mehr als {} Eckpunkte durften es nicht sein; „Eckpunkte“ setzt eine andere Grenze",
-    "its light was not written: make it local, or override it, to bake it": "sein Licht wurde nicht geschrieben: zum Backen lokal machen oder überschreiben",
+    "its light was not written: make it local to bake it": "sein Licht wurde nicht geschrieben: zum Backen lokal machen",
     "{} of it are instances, which cast light but hold none": "{} davon sind Instanzen, die Licht werfen, aber keines aufnehmen",
     "its light was not written: make instances real to bake them": "sein Licht wurde nicht geschrieben: zum Backen Instanzen realisieren",
     "its light was not written, as asked for; --shared copy gives it its own": "sein Licht wurde wie verlangt nicht geschrieben; „Kopieren“ bei geteilten Meshes gibt ihm ein eigenes",

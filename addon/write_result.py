@@ -222,7 +222,8 @@ def _drop_meshes(meshes):
 
 
 def copy_with(lookup, target, mesh):
-    """A marked copy of a target's object with another mesh and no modifiers, in place of the object, which is hidden."""
+    """A marked copy of a target's object with another mesh and no modifiers, in place of the object, which is hidden. It is where
+    the object is; of collections that belong to another file, it is in the scene's instead."""
     object = lookup.target(target)
     copy = object.copy()
     copy.data = mesh
@@ -231,7 +232,8 @@ def copy_with(lookup, target, mesh):
     copy.animation_data_clear()
     mark(copy)
     copy[f"{KEY}_of"] = object.name
-    for collection in object.users_collection:
+    collections = [c for c in object.users_collection if c.is_editable and not c.override_library]
+    for collection in collections or [lookup.scene.collection]:
         collection.objects.link(copy)
     lookup.add(copy)
     _select_instead(copy, object)

@@ -361,6 +361,36 @@ def test_files_that_were_saved_in_edit_mode(scene):
         assert colors(bpy.data.objects[name].data, "Radiosity").mean() > 0
 
 
+@pytest.mark.parametrize("options", ["", "--target lightmap --size 32", "--mesh subdivide"])
+@pytest.mark.parametrize("own", [False, True])
+def test_what_overrides_another_file(scene, own, options):
+    """Files keep no attributes of a mesh that overrides one of another file: it is named, and nothing is said to be written
+    that the next who opens the file does not find. A mesh of the file's own in an overridden collection gets its light."""
+    library = scene.with_name("library.blend")
+    table = bpy.data.collections.new("set")
+    table.objects.link(bpy.data.objects["wall"])
+    bpy.data.libraries.write(str(library), {table}, fake_user=True)
+    bpy.data.objects.remove(bpy.data.objects["wall"])
+    bpy.data.collections.remove(table)
+    with bpy.data.libraries.load(str(library), link=True) as (_, to):
+        to.collections = ["set"]
+    bpy.data.collections["set"].override_hierarchy_create(bpy.context.scene, bpy.context.view_layer)
+    (wall,) = (o for o in bpy.context.scene.objects if o.override_library)
+    wall.data = wall.data.copy() if own else wall.data.override_create()
+    wanted = {"floor", wall.name} if own else {"floor"}
+    saved(scene)
+    out, report = scene.with_name("out.blend"), scene.with_name("r.json")
+    assert main(["bake", str(scene), "-o", str(out), "--report", str(report), "--quiet", *options.split()]) == 0
+    baked = {o["name"] for o in json.loads(report.read_text())["objects"]}
+    assert baked == wanted
+    named = [f for f in json.loads(report.read_text())["health"] if "another file" in f["finding"]]
+    assert len(named) == (not own)
+    bpy.ops.wm.open_mainfile(filepath=str(out))
+    lit = {o.name.removesuffix("_radiosity") for o in bpy.context.scene.objects if o.type == "MESH"
+           and (o.data.color_attributes if "lightmap" not in options else "Lightmap" in o.data.uv_layers)}  # fmt: skip
+    assert lit == baked
+
+
 def test_an_option_of_two_dashes_is_no_value(scene, capfd):
     assert main(["bake", str(scene), "--size=--", "--quiet"]) == 2
     assert "argument --size: " in capfd.readouterr().err
