@@ -6,6 +6,7 @@ import contextlib
 import errno
 import os
 import shutil
+import stat
 import sys
 import tempfile
 from pathlib import Path
@@ -58,6 +59,10 @@ def check_writable(path):
         raise Refused(f"cannot write {path}: {error.strerror or error}") from None
     if os.path.isdir(path):
         raise Refused(f"cannot write {path}: it is a folder")
+    if (
+        os.path.isfile(path) and not os.stat(path).st_mode & stat.S_IWUSR
+    ):  # another could be put in its place all the same
+        raise Refused(f"cannot write {path}: it is read-only")
 
 
 def open_file(path):

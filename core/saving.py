@@ -28,6 +28,8 @@ def written_whole(path, suffix=""):
     try:
         yield temporary
         if ordinary:
+            if os.path.exists(place):
+                shutil.copymode(place, temporary)  # who may read it stays as it was
             os.replace(temporary, place)
     except OSError as problem:
         raise OSError(problem.errno, problem.strerror or str(problem), path) from problem

@@ -361,6 +361,21 @@ def test_files_that_were_saved_in_edit_mode(scene):
         assert colors(bpy.data.objects[name].data, "Radiosity").mean() > 0
 
 
+@pytest.mark.skipif(os.name != "posix", reason="needs permissions of Unix")
+def test_who_may_read_and_write_a_file_stays_as_it_was(scene, capfd):
+    """A file that is marked read-only is not written, though another could be put in its place; the light of one that is its
+    owner's alone is read by nobody else."""
+    os.chmod(scene, 0o444)
+    before = contents(scene.parent)
+    code, line = failing(capfd, "bake", scene, "-o", scene, "--quiet")
+    assert code == 1
+    assert line == f"radiosity: {scene}: cannot write {scene}: it is read-only"
+    assert contents(scene.parent) == before
+    os.chmod(scene, 0o600)
+    assert main(["bake", str(scene), "-o", str(scene), "--quiet"]) == 0
+    assert stat.S_IMODE(os.stat(scene).st_mode) == 0o600
+
+
 @pytest.mark.parametrize("options", ["", "--target lightmap --size 32", "--mesh subdivide"])
 @pytest.mark.parametrize("own", [False, True])
 def test_what_overrides_another_file(scene, own, options):
