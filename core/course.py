@@ -228,8 +228,9 @@ class Course:
             if settings.side != "lit":
                 written[int(settings.side == "front") :: 2] = False
             points = self._points_foreseen()
+            owner = np.repeat(self.scene.polygon_object[self.patches.polygon], 2) if settings.per_object else None
             solving = solve(
-                self.patches, self.surfaces, self.sky, self.cells, settings, self.survey, before, written, points
+                self.patches, self.surfaces, self.sky, self.cells, settings, self.survey, before, written, points, owner
             )
             self.solution = yield from each(self.clock.watch(solving), self._of_round)
             if before:  # its control points read another light

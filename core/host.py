@@ -17,6 +17,7 @@ from time import perf_counter
 
 import numpy as np
 
+from .accuracy import RARE
 from .anew import Edges
 from .graphs import components
 from .guide import LOOK_RAYS, NOTHING, Guide, bright_sides, make_guide
@@ -559,13 +560,14 @@ def _least_residual(update, values, updated, goal):
     return sum(y * b for y, b in zip(share, basis)) + np.zeros_like(residual), len(triangle)
 
 
-def solve(patches, surfaces, sky, cells, settings, survey=None, known=None, written=None, points=0):
+def solve(patches, surfaces, sky, cells, settings, survey=None, known=None, written=None, points=0, owner=None):
     """Find the Solution: a generator that yields a Round after every round and returns the Solution.
 
     sky: (C, M) exitance of the world, of each cell of its map [W/m^2]. survey: the Survey of the scene, if one was
     made. cells: started with `kernel.scene_arrays`. known: a Solution for the same, perhaps unfinished, whose direct
     light and rows are taken, not traced again; the result has the bits that it would have without. written: (2 N,)
-    bool, sides whose light is asked for; None: all. points: about how many there will be to gather at.
+    bool, sides whose light is asked for; None: all. points: about how many there will be to gather at. owner: (2 N,) object
+    of each side, if every object is to reach the error by itself; None: the whole.
     """
     begun = perf_counter()
     count, target = 2 * len(patches), settings.error / 10
@@ -603,7 +605,7 @@ def solve(patches, surfaces, sky, cells, settings, survey=None, known=None, writ
                 inside, outside = state.missing()
             else:
                 # No bright side is left without a row: solve, and see whether that brightens the others.
-                _guide(state, cells, settings, written, points)
+                _guide(state, cells, settings, written, points, owner)
                 # Either half of what may be missing, of sides with rows and of the others, is the half of the target.
                 irradiance, more, inside = state.settle(target / 2)
                 sweeps += more
@@ -617,7 +619,7 @@ def solve(patches, surfaces, sky, cells, settings, survey=None, known=None, writ
     return found if settings.bounces is None else replace(found, reflected=state.reflected(settings.bounces))
 
 
-def _guide(state, cells, settings, written, points):
+def _guide(state, cells, settings, written, points, owner=None):
     """Choose what rays are guided to, if that is not known, and find what its first light brings to sides with rows."""
     rows, rays = state.rows, settings.row_rays
     if state.guide is None:
@@ -628,7 +630,12 @@ def _guide(state, cells, settings, written, points):
             direct = state.direct[:, rows.sides].mean(axis=0)
             cost = 2 * GUIDED_ROWS * rows.hits.size
             found = state.surfaces.found.mean(axis=0)
-            bright = bright_sides(rows.hits, weight, direct, light, found, state.area, settings.error, points, cost)
+            arrived = (state.arrived / state.area)[:, rows.sides].mean(axis=0)
+            parts = [weight] if owner is None else _of_objects(weight, owner[rows.sides], arrived)
+            bright = np.zeros(len(state.area), bool)
+            for own in parts:
+                count = points * float(own.sum()) / max(float(weight.sum()), 1e-300)
+                bright |= bright_sides(rows.hits, own, direct, light, found, state.area, settings.error, count, cost)
             if bright.any():
                 look = rows.sides[weight > 0]
                 look = look[:: max(len(look) * rays // LOOK_RAYS, 1)]
@@ -641,6 +648,14 @@ def _guide(state, cells, settings, written, points):
         asked = dict(rays=rays, seed=settings.seed, light=state.first_light[:, state.guide.sides])
         if len(sides):
             state.guided[:, sides] = _found(cells, "guided", sides, 2 * rays, "guided", 1, **asked)
+
+
+def _of_objects(weight, owner, light):
+    """Weights (K,) of sides, an array for each object that is not too dark to be looked at, with those of its own sides.
+    owner: (K,) object of each side; light: (K,) that arrives there."""
+    area, power = np.bincount(owner, weight), np.bincount(owner, weight * light * light)
+    seen = power * area.sum() > RARE**2 * power.sum() * area
+    return [np.where(owner == number, weight, 0.0) for number in np.flatnonzero(seen)]
 
 
 def _found(cells, task, sides, each, name, axis, **asked):

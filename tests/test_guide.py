@@ -239,8 +239,9 @@ def test_points_beside_a_bright_spot_stay_bounded(always):
 def test_what_is_asked_for_are_the_sides_that_are_written(monkeypatch, side, sides):
     """The inside of a shade gets more light than all the room, and would hide how little of it comes from there."""
 
-    def solve(patches, surfaces, sky, cells, settings, survey, before, written, points):
+    def solve(patches, surfaces, sky, cells, settings, survey, before, written, points, owner):
         assert written.reshape(-1, 2).tolist() == [sides] * len(patches)
+        assert owner is None
         raise InterruptedError
 
     monkeypatch.setattr("cell_radiosity.core.course.solve", solve)
@@ -249,3 +250,21 @@ def test_what_is_asked_for_are_the_sides_that_are_written(monkeypatch, side, sid
     )
     with pytest.raises(InterruptedError):
         run(bake(scene, Settings(side=side), LocalCells()))
+
+
+def test_rays_are_guided_to_what_lights_an_object_if_each_is_to_reach_the_error(cells):
+    """A dim cabinet that gets its light from one bright spot: it does not count in the whole, but by itself it does."""
+    spot = Lamp("spot", (300.0,) * 3, (0.5, 0.5, 0.5), angle=0.3)
+    front = [sheet(f"front {k}", c, 4, 4) for k, c in enumerate((
+        [(1, 0, 0), (1, 1, 0), (1, 1, 0.45), (1, 0, 0.45)], [(1, 0, 0.55), (1, 1, 0.55), (1, 1, 1), (1, 0, 1)],
+    ))]  # fmt: skip
+    scene = join_meshes(
+        [box("lit", n=8, faces="xyYzZ"), *front, box("cabinet", (1, 0, 0), (2, 1, 1), 16, faces="XyYzZ")],
+        [Material("gray", (0.6,) * 3)],
+        [spot, Lamp("area", (30.0,) * 3, (0.5, 0.5, 0.9), size=(0.3, 0.3))],
+    )
+    whole, each = (
+        run(bake(scene, Settings(error=0.02, per_object=own, gather_rays=16), cells)) for own in (False, True)
+    )
+    assert not len(whole.solution.guide)
+    assert len(each.solution.guide)
