@@ -20,10 +20,11 @@ from .vectors import by_coordinate, counted, dot, rows_of, runs
 
 # Of the rays above the patch, in scene diagonals: they find what touches it, and what ends a little above it.
 HEIGHTS = 5e-5, 1e-3
-INSET = 1e-3  # how far they start inside the patch's corners
+INSET = 1e-3  # how far they start inside the patch's corners, as a share of their length
 # At each height: a triangle whose normal is closer to the patch's than this lies along it, and does not cut. Rays that are
 # higher meet the next facets of a curved surface too.
 ALONG = 0.999, 0.5
+PATHS = 6  # along a parallelogram
 MOST_ELEMENTS = 4  # of a cluster, from whose corners it is looked over
 TASK_PATCHES = 1 << 13
 
@@ -49,11 +50,11 @@ def cut_contacts(scene, patches, cells):
 def find_contacts(kernel, ids):
     """{"blocker": (K,) int32} a triangle that crosses each of the patches ids (K,), on either side; -1 if none is found.
 
-    Rays go from corner to opposite corner of a parallelogram, else from the centroid to every corner: no line through
-    a convex patch misses them all.
+    Rays go from corner to opposite corner of a parallelogram, else from the centroid to every corner, and along all edges:
+    no line through a convex patch misses them all, nor does a corner of a block that reaches into it.
     """
     blocker = np.full(len(ids), -1, np.int32)
-    for part in runs(len(ids), 4):
+    for part in runs(len(ids), PATHS):
         own = ids[part]
         owner, start, stop = _paths(kernel.patches, own)
         normal = rows_of(kernel.patches.normal, own[owner])
@@ -66,10 +67,14 @@ def find_contacts(kernel, ids):
             met = np.flatnonzero((found[owner] < 0) & kernel.caster.blocked(begin, begin + (stop - start)))
             triangle, u, v, distance, _ = kernel.caster.hits(begin[met], (stop - start)[met])
             corners = rows_of(kernel.triangles, triangle).T
-            facing = normal_and_area(*(by_coordinate(rows_of(kernel.vertices, corner)) for corner in corners))[0]
+            corners = [by_coordinate(rows_of(kernel.vertices, corner)) for corner in corners]
+            facing = normal_and_area(*corners)[0]
             across = (triangle >= 0) & (distance < 1.0) & (np.abs(dot(facing, rows_of(normal, met))) < along)
             across &= kernel.patch_hit(triangle, u, v) != own[owner[met]]
-            found[owner[met[across]]] = triangle[across]
+            # The plane that is nearest to the middle: others may cut off too little to be worth it.
+            away = np.abs(dot(facing, rows_of(kernel.patches.centroid, own[owner[met]]) - corners[0]))
+            last = np.flatnonzero(across)[np.argsort(-away[across], kind="stable")]
+            found[owner[met[last]]] = triangle[last]
     return {"blocker": blocker}
 
 
@@ -80,18 +85,25 @@ def _paths(patches, ids):
     plain = (count == 1) & patches.element_square[first]
     square, other = np.flatnonzero(plain), np.flatnonzero(~plain & flat)
     p, a, b = np.moveaxis(patches.element_frame[first[square]], 1, 0)
-    owners, starts, stops = [square, square], [p, p + a], [p + a + b, p + b]
+    ring = _drawn_in(p + (a + b) / 2, 2 * INSET, [p, p + a, p + a + b, p + b])
+    owners, starts, stops = [square] * PATHS, [*ring, *ring[:2]], [*ring[1:], ring[0], *ring[2:]]
 
-    # Of a cluster, the corners of a few elements spread over it.
+    # Of a cluster, the corners and the edges of a few elements spread over it.
     owner, step = counted(np.minimum(count[other], MOST_ELEMENTS))
     element = first[other][owner] + step * count[other][owner] // np.minimum(count[other], MOST_ELEMENTS)[owner]
     owner = other[owner]
     p, a, b = np.moveaxis(patches.element_frame[element], 1, 0)
     far = patches.element_square[element]
-    for who, corner in ((owner, p), (owner, p + a), (owner, p + b), (owner[far], (p + a + b)[far])):
-        owners.append(who)
-        starts.append(patches.centroid[ids[who]])
-        stops.append(corner)
-    start, stop = np.concatenate(starts), np.concatenate(stops)
-    inset = INSET * (stop - start)
-    return np.concatenate(owners), start + inset, stop - inset
+    for shape, corners in ((~far, (p, p + a, p + b)), (far, (p, p + a, p + a + b, p + b))):
+        who = owner[shape]
+        middle = patches.centroid[ids[who]]
+        ring = _drawn_in(middle, INSET, [corner[shape] for corner in corners])
+        owners += [who] * 2 * len(ring)
+        starts += [*_drawn_in(middle, 1 + INSET, ring), *ring]  # from behind the centroid, for what passes through it
+        stops += [*ring, *ring[1:], ring[0]]
+    return tuple(np.concatenate(parts) for parts in (owners, starts, stops))
+
+
+def _drawn_in(middle, share, corners):
+    """Corners, a list of (K, 3), moved by a share of the way to the middle (K, 3) of each."""
+    return [corner + share * (middle - corner) for corner in corners]

@@ -145,13 +145,16 @@ class RayRows:
 
     def among(self, light, beyond):
         """What rays from the rows' sides to one another bring of light (C, 2 N): the mean of all of a row's rays (C, K), the
-        mean of its square (C, K), and the share of rays that meet such a side (K,). beyond: number of the sky's cells."""
-        light = np.concatenate([light, np.ones((1, self.count))]) * self.kept
-        mean, square = np.empty((2, len(light), len(self.sides)))
+        mean square of all channels together (K,), and the share of rays that meet such a side (K,). beyond: number of the sky's
+        cells."""
+        light = np.concatenate([light, light.sum(axis=0, keepdims=True), np.ones((1, self.count))]) * self.kept
+        mean, square = np.empty((len(light), len(self.sides))), np.empty(len(self.sides))
         for c, part, seen in self._seen(np.column_stack([light, np.zeros((len(light), beyond))])):
             np.einsum("kn->k", seen, out=mean[c, part])
-            np.einsum("kn,kn->k", seen, seen, out=square[c, part])
-        return mean[:-1] / self.rays, square[:-1] / self.rays, mean[-1] / self.rays
+            if c == len(light) - 2:
+                np.einsum("kn,kn->k", seen, seen, out=square[part])
+        mean /= self.rays
+        return mean[:-2], square / self.rays, mean[-1]
 
     def _seen(self, light):
         """Yield, channel by channel for some rows at a time, the channel's number, the rows, a slice, and the light (K, n) that
@@ -391,8 +394,10 @@ class Transport:
         light = surfaces.found + surfaces.send(irradiance)
         got, square, share = rows.among(light, self.sky.shape[1])
         sent = light[:, sides]
-        # Of a ray: the variance of what it brings less what it sends.
-        noise = square - 2 * sent * got + sent * sent * share - (got - sent * share) ** 2
+        # Of a ray: the variance of what it brings less what it sends. All channels are judged as one: of many groups of light,
+        # each by itself, one would often seem not to be of the same sides.
+        bring, send = got.sum(axis=0), sent.sum(axis=0)
+        noise = square - 2 * send * bring + send * send * share - (bring - send * share) ** 2
         if self.guide is not None and len(self.guide):  # whose first light guided rays have found
             bright = np.zeros_like(light)
             bright[:, self.guide.sides] = self.first_light[:, self.guide.sides]
@@ -400,17 +405,12 @@ class Transport:
         before = irradiance.copy()
         before[:, sides] -= got
         first = (surfaces.found + surfaces.send(before))[:, sides]
-        whole, p, q, s, variance = (
-            np.stack([np.bincount(island, channel) for channel in values])
-            for values in (
-                sent * area,
-                got * area,
-                share * sent * area,
-                share * first * area,
-                noise / rows.rays * area**2,
-            )
+        whole, p, q, s = (
+            np.stack([np.bincount(island, area * channel) for channel in values])
+            for values in (sent, got, share * sent, share * first)
         )
-        certain = ((p - q) ** 2 <= CERTAIN**2 * variance).all(axis=0)
+        variance = np.bincount(island, area**2 * noise) / rows.rays
+        certain = (p - q).sum(axis=0) ** 2 <= CERTAIN**2 * variance
         chosen = certain & (2 * (q - s).sum(axis=0) > whole.sum(axis=0))
         factor = np.where(chosen, ratio(s, p - (q - s)), 1.0)
         irradiance = irradiance.copy()

@@ -33,14 +33,16 @@ def find_reach(kernel, start, stop, up, stop_up):
 
 
 def find_met(kernel, position, normal, direction):
-    """{"place": (K, 3), "facing": (K, 3)} where rays from just above places on surfaces (K, 3) meet something, and the unit
-    normal of the face there; both 0 where they meet nothing. direction: (K, 3)."""
+    """{"place": (K, 3), "facing": (K, 3), "back": (K,) bool} where rays from just above places on surfaces (K, 3) meet
+    something, the unit normal of the face there, and whether they meet its back; all 0 where they meet nothing. direction:
+    (K, 3)."""
     start = kernel.caster.start(position, normal)
-    triangle, u, v, _, _ = kernel.caster.hits(start, direction.astype(np.float32))
+    triangle, u, v, _, back = kernel.caster.hits(start, direction.astype(np.float32))
     a, b, c = (rows_of(kernel.vertices, corner) for corner in rows_of(kernel.triangles, triangle).T)
     place = a + u[:, None].astype(float) * (b - a) + v[:, None].astype(float) * (c - a)
-    there = (triangle >= 0)[:, None]
-    return {"place": np.where(there, place, 0.0), "facing": np.where(there, normal_and_area(a, b, c)[0], 0.0)}
+    met = triangle >= 0
+    there, facing = met[:, None], normal_and_area(a, b, c)[0]
+    return {"place": np.where(there, place, 0.0), "facing": np.where(there, facing, 0.0), "back": back & met}
 
 
 def refill(points, light):

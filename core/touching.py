@@ -133,17 +133,20 @@ def _number(bins):
 def _inside(scene, cells, pairs, place, normal):
     """(K,) bool: whether the inside of a solid is behind places on faces: nothing but backs of faces can be seen there. Where
     two faces touch either may be met, and neither tells."""
-    local, (t1, t2) = hemisphere(*lattice(RAYS)), tangents(-normal)
-    frame = np.stack([t1, t2, -normal], axis=1)
-    direction = np.einsum("nj,kjd->knd", local, frame).reshape(-1, 3)
-    owner = np.repeat(np.arange(len(place)), RAYS)
-    start, behind = (place - TOUCH * scene.diagonal * normal)[owner], -normal[owner]
-    parts = [slice(k, k + TASK_RAYS) for k in range(0, len(owner), TASK_RAYS)]
-    tasks = [cells.submit("met", position=start[p], normal=behind[p], direction=direction[p]) for p in parts]
-    found = cells.take(tasks)
-    met, facing = (np.concatenate([np.zeros((0, 3)), *(r[name] for r in found)]) for name in ("place", "facing"))
-    back = dot(direction, facing) > 0
-    untold = facing.any(axis=1)
-    untold[untold] = pairs.against(met[untold], facing[untold])
-    inside = np.bincount(owner, back & ~untold, len(place)) > 0
-    return inside & (np.bincount(owner, ~back & ~untold, len(place)) == 0)
+    local, inside = hemisphere(*lattice(RAYS)), np.zeros(len(place), bool)
+    parts = runs(len(place), RAYS, TASK_RAYS)
+
+    def rays():
+        """What looks for the inside, a task for each part of the places."""
+        for part in parts:
+            behind = -normal[part]
+            start, frame = place[part] + TOUCH * scene.diagonal * behind, np.stack([*tangents(behind), behind], axis=1)
+            direction = np.einsum("nj,kjd->knd", local, frame).reshape(-1, 3)
+            yield dict(position=start.repeat(RAYS, axis=0), normal=behind.repeat(RAYS, axis=0), direction=direction)
+
+    for part, found in zip(parts, cells.flow("met", rays())):
+        untold, back = found["facing"].any(axis=1), found["back"]
+        untold[untold] = pairs.against(found["place"][untold], found["facing"][untold])
+        front, back = ((told & ~untold).reshape(-1, RAYS).any(axis=1) for told in (~back, back))
+        inside[part] = back & ~front
+    return inside

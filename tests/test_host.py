@@ -11,7 +11,7 @@ from cell_radiosity.core.host import RayRows, Transport, fixed_point, solve
 from cell_radiosity.core.kernel import scene_arrays
 from cell_radiosity.core.lights import make_sources
 from cell_radiosity.core.patches import make_patches
-from cell_radiosity.core.surfaces import make_surfaces
+from cell_radiosity.core.surfaces import Surfaces, make_surfaces
 
 from scenes import Lamp, Material, Settings, World, box, join_meshes, run
 
@@ -154,6 +154,21 @@ def test_in_a_bright_room_that_is_closed_all_light_is_absorbed():
         np.testing.assert_allclose(light_of(state, state.balanced(settled)), exact, rtol=1e-7)
         np.testing.assert_allclose(state.unshot.sum(axis=1), 0.0, atol=1e-7 * exact.min())
     assert np.abs(off).max() > 0.01
+
+
+def test_many_groups_of_light_are_balanced_as_their_sum_is():
+    """Of a hundred lights, each by itself, some are off by more than their noise explains; together they are not."""
+    for seed in range(4):
+        state = bright_room(0.9, seed)
+        lit = np.flatnonzero(state.direct[0])
+        surfaces = (getattr(state.surfaces, name)[:1] for name in ("reflectance", "translucency", "sampled", "found"))
+        surfaces = Surfaces(*(np.repeat(values, len(lit), axis=0) for values in surfaces))
+        direct = np.zeros((len(lit), state.direct.shape[1]))
+        direct[np.arange(len(lit)), lit] = state.direct[0, lit]  # a group for what lights each side
+        groups = Transport(state.area[::2], surfaces, direct, np.zeros((len(lit), 1)), state.rows)
+        settled, _, _ = groups.settle(1e-6)
+        exact = light_of(groups, direct) / (1 - 0.9)
+        np.testing.assert_allclose(light_of(groups, groups.balanced(settled)), exact, rtol=1e-4)
 
 
 def test_a_balance_takes_noise_off_a_bright_room_with_a_wall_missing():

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from cell_radiosity.core.cells import LocalCells
+from cell_radiosity.core.kernel import cast_arrays
 from cell_radiosity.core.layers import layer_colors, vertex_means
+from cell_radiosity.core.points import make_points
 from cell_radiosity.core.touching import TOUCH, shared
 
 from scenes import Lamp, Material, Mesh, Settings, World, bake, box, icosphere, join_meshes, run, sheet
@@ -128,3 +132,22 @@ def test_numbers_that_are_shared_are_all_found():
     found = shared(values, others)
     assert found[:100].all()
     assert found[100:].mean() < 0.1
+
+
+def test_many_points_that_touch_take_little_memory():
+    """Two finely cut slabs on one another: rays from behind their faces are cast some at a time."""
+    slabs = []
+    for name, low, face in (("low", 0, "Z"), ("high", 1, "z")):
+        for part, count, faces in ((name, 1, set("xXyYzZ") - {face}), (f"{name} {face}", 80, face)):
+            slabs.append(box(part, (0, 0, low), (1, 1, low + 1), count, False, faces=sorted(faces)))
+    scene, cells = join_meshes(slabs), LocalCells()
+    cells.start(cast_arrays(scene))
+    tracemalloc.start()
+    points = make_points(scene, None, cells)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    touching = np.isin(points.object, (1, 3))
+    assert touching.sum() == 2 * 81 * 81
+    gap = np.abs(points.position[touching, 2] - 1)
+    assert gap.min() > TOUCH * scene.diagonal  # all of them are moved
+    assert peak < 5000 * len(points)
