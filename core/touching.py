@@ -20,6 +20,7 @@ TOUCH = (
 SINK = TOUCH + 2 * OFFSET  # how far their points are moved: rays that start before them start behind both faces
 RAYS = 16  # from behind a face, that must all meet backs of faces
 TASK_RAYS = 1 << 15
+LEAST_THERE = 0.3  # alpha of a face that can hide another: below one of less it would be darker than without
 OPPOSED = -0.999  # most cosine between the normals of faces that touch
 # Faces of one plane are found by bins of its normal and of its place. A bin is so much wider than what planes of faces that
 # touch may differ by that most of them are in one bin.
@@ -58,6 +59,8 @@ class _Pairs:
         self.polygon = np.zeros(len(scene.polygon_object), bool)
         self.polygon[scene.triangle_polygon[chosen]] = True
         if self.any:
+            there = np.array([material.alpha >= LEAST_THERE for material in scene.materials])
+            chosen &= there[scene.polygon_material[scene.triangle_polygon]]
             sides = chosen & ahead, chosen & ~ahead
             self._casters = [RayCaster(scene.vertices, scene.triangles, side) for side in sides]
 

@@ -125,6 +125,16 @@ def test_blocks_apart_by_more_than_touching_are_not_moved(cells):
     assert 0.0 < light[0].max() < 0.5
 
 
+@pytest.mark.parametrize("alpha", [0.0, 0.1])
+def test_what_hardly_is_there_hides_nothing(cells, alpha):
+    """A block on a clear pane: its bottom gets nearly all of the sky below."""
+    solid = box("block", (-0.5, -0.5, 0), (0.5, 0.5, 1), 3, False, materials=dict.fromkeys("xXyYzZ", 1))
+    materials = [Material("pane", (0.0,) * 3, alpha=alpha), Material("gray", (0.5,) * 3)]
+    baked = run(bake(join_meshes([floor(2.0), solid], materials, world=SKY), Settings(error=0.02), cells))
+    below = (baked.points.object == 1) & (baked.points.normal[:, 2] < -0.9)
+    np.testing.assert_allclose(baked.light.total[0, below], (1 - alpha) * np.pi, rtol=0.12)
+
+
 def test_numbers_that_are_shared_are_all_found():
     generator = np.random.default_rng(1)
     values, others = (generator.integers(0, 1 << 62, 4000) for _ in range(2))
