@@ -1,9 +1,8 @@
 """The survey: which effects of light a scene calls for, what is ignored, and what is wrong with its data.
 
 Owns the records `Effect` and `Survey` and every decision to leave something out. A decision comes with its reason and
-holds at the error asked for: an effect is left out if it cannot change the result by more than `SHARE` of that error.
-Geometry decides where it can (convexity, by position); where only rays can tell, so many are cast that what none of
-them has seen is too little to matter.
+holds at the error asked for: an effect is left out if it cannot change the result by more than a set share of that error.
+Geometry decides where it can (convexity, by position), elsewhere the rays that `evidence` casts.
 """
 
 from __future__ import annotations
@@ -14,33 +13,20 @@ import numpy as np
 
 from .cells import LocalCells
 from .convexity import find_outlier, find_planes, find_sides
+from .evidence import SURE, Evidence, apart, read_of, tint, world_tint
 from .flats import emitting_polygons
-from .graphs import components
 from .health import Finding, audit, mend
-from .kernel import cast_arrays
-from .lights import lamp_outline, lamp_power
-from .pieces import WELD, pieces_of
-from .sampling import R2, R4, fraction, hemisphere
+from .pieces import WELD
 from .settings import EFFECTS, Settings
-from .share import COMMON, face_rays, indirect_share, light_contrast
+from .share import COMMON, light_contrast
 from .sky import split_sky
 from .surfaces import LARGEST_REFLECTANCE
-from .vectors import dot, length, runs, unit
+from .vectors import length, unit
 
 DARK = 1e-3  # an object whose front gets less than this share of what its back gets is lit from behind
-SHARE = 0.2  # of the error asked for that one effect may be worth when it is left out
-SEEN = 150  # rays of the survey from each side of the faces, divided by the error asked for
-MOST_SEEN = 100_000  # of these rays
 SHADOWS = ("occlusion", "sky", "textures", "transparency")  # effects by which light changes within a short way
-EACH = 4  # rays at least from each side of every piece of surface
-ALONE = 256  # from what seems to see nothing that has light
-EARLY = 8  # one in so many rays goes before the others
-LAMP_RAYS = 256  # rays from each lamp
-MOST_LAMPS = 64  # that send them
 MOST_GLOWING = 256  # emitting faces that may be seen without obstruction; of more, some are taken to be hidden
-SURE = 3.0  # what none of n rays has seen is at most SURE / n of what there is, with 95 % confidence
 MOST_TESTS = 200_000_000  # of a vertex against a plane; a room of more faces than that allows is not called convex
-TASK_RAYS = 1 << 16  # of one task
 NAMED = 3  # names in a reason
 
 
@@ -112,15 +98,15 @@ def survey(scene, settings=None, cells=None):
     scene = mend(scene)
     settings = settings or Settings()
     cells = cells or LocalCells()
-    look = _Look(scene, settings, cells)
+    look = Evidence(scene, settings, cells)
     two_sided, reflected = _two_sided(look), _interreflection(look)
     effects = {
-        "occlusion": _occlusion(look, *(e.needed or _forced(settings, e.name) for e in (two_sided, reflected))),
+        "occlusion": _occlusion(look, *(e.needed or e.name in settings.force for e in (two_sided, reflected))),
         "interreflection": reflected,
         "color": _color(look),
         "lamps": _lamps(scene),
         "emission": _emission(scene),
-        "sky": look.sky,
+        "sky": _sky(look),
         "textures": _textures(look),
         "two-sided": two_sided,
         "transparency": _transparency(look),
@@ -154,253 +140,10 @@ def _even(material, textures):
     return replace(material, reflectance=tuple(color), texture=None)
 
 
-def _forced(settings, name):
-    return name in settings.force
-
-
 def _force(effect, settings):
-    if effect.needed or not _forced(settings, effect.name):
+    if effect.needed or effect.name not in settings.force:
         return effect
     return replace(effect, needed=True, reason=f"forced; not needed: {effect.reason}")
-
-
-class _Look:
-    """What the survey's rays and the geometry say about a scene; each decision reads what it needs."""
-
-    def __init__(self, scene, settings, cells):
-        self.scene, self.settings = scene, settings
-        self.tolerance = SHARE * settings.error
-        self.usable = np.flatnonzero(scene.usable)
-        self.materials = _Materials(scene)
-        self.material = scene.polygon_material[scene.triangle_polygon[self.usable]]
-        self.lamps = [lamp for lamp in scene.lamps if max(lamp.strength) > 0]
-        self.shadowless = [lamp for lamp in self.lamps if not lamp.shadows]
-        self.emitting = emitting_polygons(scene)
-        cells.start(cast_arrays(scene, _forced(settings, "transparency")))
-        self._cells = cells
-        self._piece = pieces_of(scene)  # of each polygon
-        self._cast()
-
-    def _cast(self):
-        """Cast the rays: from the lamps, from both sides of the faces, and toward the suns."""
-        scene = self.scene
-        pieces = int(self._piece.max(initial=-1)) + 1
-        nodes = [2 * self._piece[scene.triangle_polygon], 2 * self._piece[scene.triangle_polygon] + 1]
-        lit, open_to_sky = np.zeros(2 * pieces, bool), np.zeros(2 * pieces, bool)
-        # Light straight from sources goes on behind what casts no shadow.
-        both = (False,) if scene.shading is None else (False, True)
-
-        def light(*rays):
-            for shading in both:
-                lit[_nodes_met(nodes, *self._hits(*rays, shading))] = True
-
-        for lamp in sorted(self.lamps, key=lamp_power, reverse=True)[:MOST_LAMPS]:
-            if lamp.shadows and lamp.kind != "sun":
-                light(*_lamp_rays(lamp))
-        if self.shadowless:  # what is turned to them is lit
-            for side, turned in zip(nodes, find_sides(*self.planes(), *self.places(self.shadowless), WELD)):
-                lit[side[self.usable[turned]]] = True
-        glowing, number = self._glowing()
-        for side in (0, 1):
-            light(*face_rays(scene, glowing, number, side))
-        # Both sides of what light passes through are one.
-        thin = np.unique(self._piece[self.materials.thin[scene.polygon_material]])
-        here, there = [2 * thin], [2 * thin + 1]
-
-        self.rays, self.escaped, self.met = 0, np.zeros(2, int), 0
-        self._sent = np.zeros(2 * pieces)  # rays that have set out from each node
-        self.meets = 0.0  # the most that a face sends on which a ray has met
-        suns = [np.asarray(lamp.axes[2], float) for lamp in self.lamps if lamp.kind == "sun" and lamp.shadows]
-        for triangle, number in self._origins(pieces):
-            self.rays += len(triangle)
-            for side in (0, 1):
-                position, normal, direction = face_rays(scene, triangle, number, side)
-                hit, back = self._hits(position, normal, direction)
-                met, node = hit >= 0, nodes[side][triangle]
-                self._sent += np.bincount(node, minlength=2 * pieces)
-                here.append(node[met])
-                there.append(_nodes_met(nodes, hit, back))
-                open_to_sky[node[~met]] = True
-                self.escaped[side] += np.count_nonzero(~met)
-                self.met += np.count_nonzero(met)
-                for shading in both[1:]:
-                    free = self._hits(position, normal, direction, shading)[0] < 0
-                    open_to_sky[node[free]] = True
-                    self.escaped[side] += np.count_nonzero(free & met)
-                returned = self.materials.returned[scene.polygon_material[scene.triangle_polygon[hit[met]]]]
-                self.meets = max(self.meets, float(returned.max(initial=0.0)))
-                for toward in suns:
-                    faces = np.flatnonzero((dot(normal, toward) > 0) & ~lit[node])
-                    toward = np.broadcast_to(toward, (len(faces), 3))
-                    free = faces[self._hits(position[faces], normal[faces], toward, both[-1])[0] < 0]
-                    lit[node[free]] = True
-            self._join(np.concatenate(here), np.concatenate(there), lit, open_to_sky)
-            if self._settled():
-                break
-
-    def _join(self, here, there, lit, open_to_sky):
-        """The parts of the scene that rays have joined, from nodes (K,) to nodes (K,): sides of pieces; lit, open_to_sky:
-        (N,) bool, those that sources light, and that see the sky."""
-        scene = self.scene
-        self.sky = _sky(self)
-        if self.sky.needed or (scene.world.brightest > 0 and _forced(self.settings, "sky")):
-            lit = lit | open_to_sky
-        self._label = label = components(here, there, len(lit))
-        self.island = np.stack([label[2 * self._piece], label[2 * self._piece + 1]], axis=1).astype(np.int32)
-        self.lit_islands = np.unique(label[lit])
-        # A back side matters if its island has light.
-        backs = np.flatnonzero(np.isin(self.island[scene.triangle_polygon[self.usable], 1], self.lit_islands))
-        self.lit_object = _owner(scene, self.usable[backs[0]]) if len(backs) else None
-
-    def _settled(self):
-        """Whether more rays could show nothing: each effect that they may call for has been called for."""
-        sky = self.sky.needed or self.scene.world.brightest <= 0
-        return sky and self.meets > 0 and self.lit_object is not None and len(self.lit_islands) == 1
-
-    def _origins(self, pieces):
-        """Triangles (K,) that rays set out from and the rays' numbers (K,), in a few parts, so that what the first of them
-        have seen is not looked for again: spread by area, with a few from every piece in the first."""
-        scene = self.scene
-        count = int(min(SEEN / self.settings.error, MOST_SEEN))
-        area = scene.triangle_normal_area[1][self.usable]
-        if not len(area):
-            yield self.usable, self.usable
-            return
-        upper = np.cumsum(area)
-        place = (np.arange(count) + 0.5) / count * upper[-1]
-        chosen = self.usable[np.minimum(np.searchsorted(upper, place, side="right"), len(area) - 1)]
-        number, some = np.arange(count), np.zeros(0, np.int64)
-        if pieces * EACH <= MOST_SEEN:
-            some = self._of_pieces(np.arange(pieces), EACH)
-        early = number % EARLY == 0
-        yield np.append(chosen[early], some), np.append(number[early], count + np.arange(len(some)))
-        yield chosen[~early], number[~early]
-        # What few rays have looked at may see the rest all the same.
-        alone = np.flatnonzero(np.bincount(self._label, self._sent) < ALONE)
-        alone = np.unique(np.flatnonzero(np.isin(self._label, np.intersect1d(alone, self.lit_islands))) // 2)
-        if 0 < len(alone) * EACH <= MOST_SEEN:
-            more = self._of_pieces(alone, min(ALONE, MOST_SEEN // len(alone)))
-            yield more, count + len(some) + np.arange(len(more))
-
-    def _of_pieces(self, pieces, each):
-        """Triangles of pieces (K,), so many `each`."""
-        piece = self._piece[self.scene.triangle_polygon[self.usable]]
-        order = np.argsort(piece, kind="stable")
-        first, end = (np.searchsorted(piece[order], pieces, side=side) for side in ("left", "right"))
-        first, size = first[end > first], (end - first)[end > first]
-        return self.usable[order[np.concatenate([first + (size * (2 * k + 1)) // (2 * each) for k in range(each)])]]
-
-    def _glowing(self):
-        """Emitting triangles (K,) that rays set out from, each as often as its area says, and the rays' numbers (K,)."""
-        triangle = self.usable[np.isin(self.scene.triangle_polygon[self.usable], self.emitting)]
-        if not len(triangle):
-            return triangle, triangle
-        upper = np.cumsum(self.scene.triangle_normal_area[1][triangle])
-        count = LAMP_RAYS * min(len(self.emitting), MOST_LAMPS)
-        place = (np.arange(count) + 0.5) / count * upper[-1]
-        return triangle[np.minimum(np.searchsorted(upper, place, side="right"), len(triangle) - 1)], np.arange(count)
-
-    def indirect(self):
-        """Share of the light that is reflected. It is looked at only where sun or sky shine: elsewhere it is much of it."""
-        scene, used = self.scene, np.unique(self.material)
-        outdoors = self.sky.needed or any(lamp.kind == "sun" for lamp in self.lamps)
-        unclear = self.materials.thin[used].any() or (scene.readings is not None and len(scene.readings.triangle))
-        if not outdoors or unclear:
-            return COMMON
-        return indirect_share(scene, self.materials.returned, self._cells, self.settings.side == "back")
-
-    def planes(self):
-        """Normals (K, 3) of the planes of the usable triangles, and how far they are off the middle of the scene (K,) along
-        them, in diagonals."""
-        normal = self.scene.triangle_normal_area[0][self.usable]
-        return normal, dot(normal, self._framed(self.scene.vertices[self.scene.triangles[self.usable, 0]]))
-
-    def places(self, lamps, more=()):
-        """Corners (L, 3) of all that lies around lamps, and more of them, from the middle of the scene in diagonals; and of
-        suns the sines of their half angles and the directions to them, [(sine, (3,))]."""
-        outlines = [lamp_outline(lamp) for lamp in lamps]
-        corners = [np.zeros((0, 3)), *(corner for corner, direction in outlines if direction is None), *more]
-        return self._framed(np.concatenate(corners)), [sun for sun in outlines if sun[1] is not None]
-
-    def _framed(self, places):
-        return (places - self.scene.bounds.mean(axis=0)) / max(self.scene.diagonal, 1e-300)
-
-    def _hits(self, position, normal, direction, shading=False):
-        """Triangle (K,), -1 where a ray escapes, and whether it met its back (K,); shading: of what casts shadows."""
-        tasks = [
-            self._cells.submit("cast", position=position[p], normal=normal[p], direction=direction[p], shading=shading)
-            for p in runs(len(position), most=TASK_RAYS)
-        ]
-        found = self._cells.take(tasks)
-        hit = np.concatenate([np.zeros(0, np.int32), *(f["triangle"] for f in found)])
-        return hit, np.concatenate([np.zeros(0, bool), *(f["back"] for f in found)])
-
-
-def _nodes_met(nodes, hit, back):
-    """The nodes of the sides of triangles that rays met: hit (K,), -1 for a miss, back (K,) bool; nodes: front, back
-    (T,)."""
-    met = hit >= 0
-    return np.where(back[met], nodes[1][hit[met]], nodes[0][hit[met]])
-
-
-class _Materials:
-    """Bounds on what the scene's materials do, a row for each: returned (M,) the most that one sends on, thin (M,) bool
-    light passes through, tint (M,) how far from gray, as a share, and the texture's spread (M,)."""
-
-    def __init__(self, scene):
-        rows, thin, tint = [], [], []
-        textures = [_texture_range(t) for t in scene.textures]
-        for m in scene.materials:
-            low = high = np.clip(np.asarray(m.reflectance, float), 0, LARGEST_REFLECTANCE)
-            shades = [np.asarray(m.reflectance, float), np.asarray(m.translucency, float)]
-            uneven = 0.0
-            if m.texture is not None:
-                darkest, brightest, uneven = textures[m.texture]
-                low, high = low + np.asarray(m.tint) * darkest, high + np.asarray(m.tint) * brightest
-                shades.append(np.asarray(m.tint, float))
-            rows.append((high + np.asarray(m.translucency)).max())
-            thin.append(max(m.translucency) > 0 or m.transparent)
-            tint.append(max([_tint(s) for s in shades] + [uneven]))
-        self.returned = np.minimum(np.nan_to_num(np.array(rows, float)), LARGEST_REFLECTANCE)
-        self.thin, self.tint = np.array(thin, bool), np.array(tint, float)
-        for m, own in _read_of(scene):
-            self.returned[m] = min(float(scene.readings.reflectance[own].max()), LARGEST_REFLECTANCE)
-            self.tint[m] = _apart(scene.readings.reflectance[own])
-
-
-def _read_of(scene):
-    """Materials that were read, and of each the rows (K,) of the scene's readings."""
-    if scene.readings is None or not len(scene.readings.triangle):
-        return []
-    material = scene.polygon_material[scene.triangle_polygon[scene.readings.triangle]]
-    return [(m, np.flatnonzero(material == m)) for m in np.unique(material)]
-
-
-def _tint(color):
-    """How far a color (..., 3) is from gray: its spread as a share of its mean."""
-    color = np.asarray(color, float)
-    mean = np.abs(color).mean()
-    return float((color.max() - color.min()) / mean) if mean > 0 else 0.0
-
-
-def _world_tint(world):
-    """How far a world is from gray, as a share of its mean."""
-    return _tint(world.radiance) if world.map is None else _apart(world.map)
-
-
-def _apart(colors):
-    """How far colors (..., 3) are from gray at most, as a share of the mean of each, or of all where that is more."""
-    red, green, blue = np.moveaxis(colors, -1, 0)
-    own = (red + green + blue) / 3
-    mean = float(np.einsum("k->", own.reshape(-1).astype(float))) / max(own.size, 1)
-    apart = np.maximum(np.maximum(red, green), blue) - np.minimum(np.minimum(red, green), blue)
-    return float((apart / np.maximum(own, max(mean, 1e-30))).max(initial=0.0))
-
-
-def _texture_range(texture):
-    """Darkest and brightest color (3,) of a texture, and how far from gray it is anywhere, as a share of its mean."""
-    pixels = texture.pixels
-    return pixels.min(axis=(0, 1)), pixels.max(axis=(0, 1)), _apart(pixels)
 
 
 def _two_sided(look):
@@ -424,7 +167,7 @@ def _occlusion(look, two_sided, reflects):
     if not effect.needed or not look.shadowless:
         return effect
     names = _some([lamp.name for lamp in look.shadowless])
-    if len(look.shadowless) == len(look.lamps) and not (len(look.emitting) or distant or look.sky.needed or reflects):
+    if len(look.shadowless) == len(look.lamps) and not (len(look.emitting) or distant or look.sky or reflects):
         return Effect("occlusion", False, f"no lamp casts shadows: they are switched off ({names})")
     return replace(effect, reason=f"{effect.reason}; no shadow rays go to {names}")
 
@@ -432,7 +175,7 @@ def _occlusion(look, two_sided, reflects):
 def _bright_sky(look):
     """Bright places of the sky, if it is needed: [(sine of the half angle, direction (3,))]."""
     distant = []
-    for group in split_sky(look.scene.world)[1] if look.sky.needed else ():
+    for group in split_sky(look.scene.world)[1] if look.sky else ():
         middle = unit(group.directions.mean(axis=0))
         distant.append((float(length(group.directions - middle).max()) + group.spread, middle))
     return distant
@@ -442,7 +185,7 @@ def _geometric_occlusion(look, two_sided, reflects):
     """Whether anything can stand between a source and a face that it could light: nothing can if the faces that are
     turned to sources make up a convex room with the sources in it, or a block on whose outside they lie. The sky's even light
     comes from all sides: what it leaves dark counts where light is reflected."""
-    scene, glowing, everywhere = look.scene, [], look.sky.needed and reflects
+    scene, glowing, everywhere = look.scene, [], look.sky and reflects
     if len(look.emitting):
         corners = np.concatenate([np.arange(*scene.polygon_start[p : p + 2]) for p in look.emitting[:MOST_GLOWING]])
         glowing.append(scene.vertices[np.unique(scene.corner_vertex[corners])])
@@ -465,39 +208,35 @@ def _geometric_occlusion(look, two_sided, reflects):
     turned = lit[of_face]
     planes, behind = plane[lit], behind[lit]
     own = scene.used_vertices(triangle[turned])
-    inside = _outlier(scene, normal[planes], offset[planes], own, triangle[planes], +1)
+    inside = _outlier(look, normal[planes], offset[planes], own, triangle[planes], +1)
     if inside is None and not behind.any():
         return Effect("occlusion", False, f"the faces that light reaches are convex ({len(planes)} planes), with all lamps in front of them: nothing can cast a shadow")  # fmt: skip
     everything = scene.used_vertices(look.usable)
-    outside = _outlier(scene, normal[planes], offset[planes], everything, triangle[planes], -1)
+    outside = _outlier(look, normal[planes], offset[planes], everything, triangle[planes], -1)
     if outside is None:
         return Effect("occlusion", False, f"everything lies behind the {len(planes)} planes of the faces that light reaches: nothing can cast a shadow")  # fmt: skip
     if inside is None:
-        face = _owner(scene, triangle[planes][np.flatnonzero(behind)[0]])
+        face = look.owner(triangle[planes][np.flatnonzero(behind)[0]])
         return Effect(
             "occlusion", True, f"a lamp, or a part of it, is behind a face of {face} that another could light"
         )
     return Effect("occlusion", True, inside)
 
 
-def _outlier(scene, normal, offset, vertices, triangle, sign):
+def _outlier(look, normal, offset, vertices, triangle, sign):
     """What keeps vertices from lying all on or in front (sign -1: behind) of planes, in words; None if they do."""
     if not len(vertices) or len(normal) * len(vertices) > MOST_TESTS:
         return f"the faces that light could reach lie in {len(normal)} planes"
+    scene = look.scene
     place = (scene.vertices[vertices] - scene.bounds.mean(axis=0)) / max(scene.diagonal, 1e-300)
     found = find_outlier(normal, offset, place, sign, WELD)
     if found is None:
         return None
     plane, vertex, depth = found[0], vertices[found[1]], found[2]
-    here = _owner(scene, triangle[plane])
-    there = _owner(scene, int(np.flatnonzero((scene.triangles == vertex).any(axis=1))[0]))
+    here = look.owner(triangle[plane])
+    there = look.owner(int(np.flatnonzero((scene.triangles == vertex).any(axis=1))[0]))
     meters = depth * scene.diagonal
     return f"not convex: {there} reaches {meters:.3g} m behind a face of {here} that light could reach"
-
-
-def _owner(scene, triangle):
-    """Name of the object that a triangle belongs to."""
-    return scene.objects[scene.polygon_object[scene.triangle_polygon[triangle]]]
 
 
 def _interreflection(look):
@@ -529,12 +268,11 @@ def _color(look):
     """Whether channels can differ: by how much colored reflectances and lights can tint the result."""
     scene, used = look.scene, np.unique(look.material)
     shades = [(f"the material {scene.materials[m].name}", look.materials.tint[m]) for m in used]
-    lights = [(f"the lamp {lamp.name}", _tint(lamp.strength)) for lamp in look.lamps]
-    lights += [(f"the emission of {scene.materials[m].name}", _tint(scene.materials[m].exitance)) for m in used]
-    lights += [("the world", _world_tint(scene.world))] if look.sky.needed else []
+    lights = [(f"the lamp {lamp.name}", tint(lamp.strength)) for lamp in look.lamps]
+    lights += [(f"the emission of {scene.materials[m].name}", tint(scene.materials[m].exitance)) for m in used]
+    lights += [("the world", world_tint(scene.world))] if look.sky else []
     lights += [
-        (f"the emission of {scene.materials[m].name}", _apart(scene.readings.exitance[own]))
-        for m, own in _read_of(scene)
+        (f"the emission of {scene.materials[m].name}", apart(scene.readings.exitance[own])) for m, own in read_of(scene)
     ]
     most = min(float(look.materials.returned[used].max(initial=0.0)), LARGEST_REFLECTANCE) if len(used) else 0.0
     gain = 1.0 + most / (1.0 - most)  # a change of all reflectances by a share x changes the light by up to gain x
@@ -581,14 +319,7 @@ def _sky(look):
         return Effect("sky", True, f"{escaped} of {rays} rays from the fronts of faces escaped")
     if look.settings.side != "front" and look.escaped[1]:
         return Effect("sky", True, f"{look.escaped[1]} of {rays} rays from the backs of faces escaped")
-    # What none of the rays has seen may still be SURE / n of the sky.
-    area = float(scene.triangle_normal_area[1][look.usable].sum())
-    missed = SURE / max(rays, 1) * np.pi * scene.world.brightest * area
-    exitance = np.array([max(m.exitance) for m in scene.materials], float)
-    polygon = scene.triangle_polygon[look.usable]
-    faces = 2 * float((exitance[scene.polygon_material[polygon]] * scene.triangle_normal_area[1][look.usable]).sum())
-    inside = faces + sum(lamp_power(lamp) for lamp in look.lamps if lamp.kind != "sun")
-    if missed > look.tolerance * inside:
+    if look.sky:
         return Effect("sky", True, f"0 of {rays} rays escaped, but the world is so much brighter than the rest that even {SURE:g} in {rays} could matter")  # fmt: skip
     return Effect("sky", False, f"0 of {rays} rays escaped")
 
@@ -654,23 +385,3 @@ def _islands(look):
         word = "back" if side else "front"
         names.append(f"{look.scene.objects[look.scene.polygon_object[polygon]]}, {word}")
     return Effect("islands", True, f"{count} parts cannot see one another ({'; '.join(names)}{'; ...' if count > 3 else ''}): each has a stop of its own")  # fmt: skip
-
-
-def _lamp_rays(lamp):
-    """Position, offset normal (0) and direction (K, 3) of rays from a point, spot or area lamp."""
-    number = np.arange(LAMP_RAYS) + 0.5
-    u, v = number / LAMP_RAYS, fraction(number * R2[0])
-    x, y, z = np.asarray(lamp.axes, float)
-    position = np.broadcast_to(np.asarray(lamp.position, float), (LAMP_RAYS, 3))
-    if lamp.kind == "area":
-        local = hemisphere(u, v)
-        a, b = fraction(number * R4[2]) - 0.5, fraction(number * R4[3]) - 0.5
-        position = position + a[:, None] * lamp.size[0] * x + b[:, None] * lamp.size[1] * y
-    else:
-        # Evenly over the sphere, or the part of it in the cone.
-        least = np.cos(lamp.angle / 2) if lamp.kind == "spot" else -1.0
-        height = least + (1.0 - least) * u
-        ring, turn = np.sqrt(np.maximum(1.0 - height * height, 0.0)), 2 * np.pi * v
-        local = np.stack([ring * np.cos(turn), ring * np.sin(turn), height], axis=1)
-    direction = local[:, :1] * x + local[:, 1:2] * y - local[:, 2:] * z
-    return position, np.zeros_like(position), direction

@@ -386,7 +386,7 @@ def test_few_rays_decide_as_all_do_where_nothing_is_left_to_see(name, side, monk
     for scene in TURNS[name][1:]:
         early = decided(scene, side=side)
         with monkeypatch.context() as patched:
-            patched.setattr("cell_radiosity.core.effects.EARLY", 1)  # all rays are cast at once
+            patched.setattr("cell_radiosity.core.evidence.EARLY", 1)  # all rays are cast at once
             assert {k: needed for k, (needed, _) in early.items()} == {
                 k: needed for k, (needed, _) in decided(scene, side=side).items()
             }
@@ -398,7 +398,7 @@ def test_rays_end_early_where_everything_is_called_for(monkeypatch):
     turned = sheet("turned", [(0, 0, 0.5), (0, 1, 0.5), (1, 1, 0.5), (1, 0, 0.5)])
     rays = []
     for early in (8, 1):
-        monkeypatch.setattr("cell_radiosity.core.effects.EARLY", early)
+        monkeypatch.setattr("cell_radiosity.core.evidence.EARLY", early)
         cells = LocalCells()
         survey(join_meshes([floor, turned], [GRAY], [Lamp("sun", (1.0,) * 3)]), Settings(error=0.01), cells)
         rays.append(cells.usage.rays)
