@@ -25,7 +25,7 @@ from .effects import Survey, simplified, survey
 from .gather import Gathering, light_arrays, patch_light, sides_of
 from .groups import Groups, weighted
 from .health import Finding
-from .host import Solution, solve
+from .host import solve
 from .kernel import cast_arrays, transport_arrays
 from .lights import make_sources
 from .occlusion import find_openness
@@ -44,6 +44,7 @@ from .sky import split_sky
 from .state import State, scene_prints
 from .steep import make_fine_patches
 from .surfaces import make_surfaces, reflects
+from .transport import Solution
 
 ROUGH_RAYS = 32  # of a point, to tell where a mesh must be finer
 FINER = 1.5  # times shorter are patches where the usual ones alone keep a bake from its error

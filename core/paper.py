@@ -9,8 +9,9 @@ from __future__ import annotations
 from dataclasses import replace
 from time import perf_counter
 
-from .host import Transport, light_patches, make_rows, round_of, submit_rows
+from .host import light_patches, make_rows, submit_rows
 from .records import to_arrays
+from .transport import Transport, round_of
 
 
 def solve_paper(patches, surfaces, sources, sky, cells, settings):

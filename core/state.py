@@ -24,13 +24,14 @@ from .gather import Gathered
 from .groups import Groups
 from .guide import Guide
 from .health import Finding
-from .host import ENDLESS, AnalyticRows, RayRows, Round, Solution, joined_rows
+from .kept import ENDLESS, AnalyticRows, RayRows, joined_rows
 from .patches import Patches
 from .prices import Price
 from .records import from_arrays, to_arrays
 from .replicates import Replicate
 from .saving import written_whole
 from .settings import Settings
+from .transport import Round, Solution
 
 FORMAT = 8  # of the file; higher when samples of the same seed become others
 ANEW = "name another state file to bake it anew"

@@ -5,13 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cell_radiosity.core import host
+from cell_radiosity.core import transport
 from cell_radiosity.core.cells import LocalCells
-from cell_radiosity.core.host import RayRows, Transport, fixed_point, solve
+from cell_radiosity.core.host import solve
+from cell_radiosity.core.kept import RayRows
 from cell_radiosity.core.kernel import scene_arrays
 from cell_radiosity.core.lights import make_sources
 from cell_radiosity.core.patches import make_patches
 from cell_radiosity.core.surfaces import Surfaces, make_surfaces
+from cell_radiosity.core.transport import Transport, fixed_point
 
 from scenes import Lamp, Material, Settings, World, box, join_meshes, run
 
@@ -236,8 +238,8 @@ def test_nothing_gives_light():
 def test_a_solve_that_ends_by_itself_has_converged(error, seed, monkeypatch):
     """Also where sides that next to no light reaches are left without rows: the bound on what they may still send and that
     on the rest are below the target together."""
-    monkeypatch.setattr(host, "BATCH", 8)
-    monkeypatch.setattr(host, "BATCH_SHARE", 0.05)
+    monkeypatch.setattr(transport, "BATCH", 8)
+    monkeypatch.setattr(transport, "BATCH_SHARE", 0.05)
     scene = SCENES["translucent"]
     patches = make_patches(scene, 0.15)
     sources, sampled = make_sources(scene)
