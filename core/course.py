@@ -25,7 +25,7 @@ from .effects import Survey, simplified, survey
 from .gather import Gathering, light_arrays, patch_light, sides_of
 from .groups import Groups, weighted
 from .health import Finding
-from .host import solve
+from .host import rays_that_fit, solve
 from .kernel import cast_arrays, transport_arrays
 from .lights import make_sources
 from .occlusion import find_openness
@@ -129,6 +129,7 @@ class Course:
         if state:
             usual, self.settings = self.settings, state.knobs(self.settings)
             self._coarse = finer(usual, self.settings)
+        self._row_rays = self.settings.row_rays
         self.solution = self.points = self.side = self.gathering = self.control = self.estimate = None
         self.openness = self.averaged = None
         self._places, self._round, self._solved = None, None, settings.error
@@ -190,6 +191,9 @@ class Course:
         if not known and edge is not None and parted(settings, found):
             patches = cut_contacts(scene, patches, cells)
         sources, sampled = add_pictures(scene, patches, sources, sampled)
+        if not known:
+            sides = len(patches) * (2 if found.needs("two-sided") else 1)
+            self.settings = replace(settings, row_rays=rays_that_fit(sides, settings))
         surfaces, sky = _surfaces(scene, patches, sampled, found, np.pi * sky.T)
         if not found.needs("color"):
             sources = sources.one_channel()
@@ -212,9 +216,9 @@ class Course:
 
     def transport(self):
         """Phase 1: patches, and the radiosity of their sides."""
-        settings, known = self.settings, self._known
         yield Progress("survey", 1.0, self.clock.total())
         self.lay()
+        settings, known = self.settings, self._known
         yield self._progress("patches", 1.0)
 
         if known and known.solution and min(known.solved, known.solution.bound / SOLVED) <= settings.error:
@@ -449,7 +453,7 @@ class Course:
             light = patch_light(self.side, solution)
         points, solution, error = self.points, solution or self.solution, self.settings.error
         reached = self.estimate is not None and self._error <= error
-        more = (*thin_findings(self.scene, points), *self._coarse_findings())
+        more = (*thin_findings(self.scene, points), *self._coarse_findings(), *self._memory_findings(solution))
         light = by_group = refill(points, light)
         return Bake(
             self.written,
@@ -507,6 +511,22 @@ class Course:
                 "patches",
                 f"those of the state are longer, or their rows shorter, than {100 * self.settings.error:.3g} % asks for",
                 f"they were kept: {100 * self.estimate.patches:.2g} % of the error is theirs; without the state they are finer",
+            )
+
+    def _memory_findings(self, solution):
+        """A Finding if memory did not hold the rows that the error asks for."""
+        settings, rows = self.settings, solution.rows
+        if settings.row_rays < self._row_rays:
+            yield Finding(
+                "memory",
+                f"rows of {self._row_rays} rays for {len(self.patches)} patches do not fit",
+                f"they have {settings.row_rays}: the light of patches has more noise, which more --memory would take away",
+            )
+        elif settings.schedule == "dynamic" and solution.rounds and solution.rounds[-1].shots > len(rows.sides):
+            yield Finding(
+                "memory",
+                f"{len(rows.sides)} form-factor rows fit, there is light for more",
+                "the others were found anew whenever light came back to them; more --memory would keep them",
             )
 
     def state(self):

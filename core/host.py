@@ -18,7 +18,7 @@ import numpy as np
 from .accuracy import RARE
 from .anew import Edges
 from .guide import LOOK_RAYS, NOTHING, bright_sides, make_guide
-from .kept import AnalyticRows, RayRows, joined_rows
+from .kept import ENDLESS, HIT_BYTES, ROW_BYTES, AnalyticRows, RayRows, joined_rows
 from .records import to_arrays
 from .transport import Transport, round_of
 
@@ -27,6 +27,7 @@ LEAST_RAYS = 1 << 13  # of one task at least: less is not worth a message and th
 ANALYTIC_TASK = 4  # analytic rows of one task at most
 SHARES = 4  # tasks of a batch that a cell gets at least, if they are not too small: no cell waits long for another
 ROWS_SHARE = 0.25  # of the memory that a bake may use, for kept rows
+LEAST_ROW = 8  # rays, of which a row tells its own noise; a patch takes ten times as much memory
 LAG = 3  # batches in flight; a batch is picked from the state that so many batches before it left
 FACING = 256  # patches that tell how many are in front of a side
 GUIDED_ROWS = 0.25  # rays of each kind for the first light of bright sides, for each ray of a row: more take off little
@@ -164,9 +165,21 @@ def light_patches(cells, count, settings, sides=None):
 
 
 def make_rows(count, settings):
-    """Empty rows of `count` sides, of the kind that the settings ask for."""
-    memory = settings.memory * ROWS_SHARE
-    return RayRows(count, settings.row_rays, memory) if settings.rows == "rays" else AnalyticRows(count, memory)
+    """Empty rows of `count` sides, of the kind that the settings ask for. Ray rows are all kept, see `rays_that_fit`."""
+    if settings.rows == "rays":
+        return RayRows(count, settings.row_rays, ENDLESS)
+    return AnalyticRows(count, settings.memory * ROWS_SHARE)
+
+
+def rays_that_fit(count, settings):
+    """Rays of a row, no more than the settings ask for, so that rows of `count` sides fit into their share of the memory.
+
+    Short rows of all sides are noisy, but the light of each is the mean of what it sees, and all of it can be balanced. Of
+    long rows, some would have to be found anew whenever light came back, many times in a bright room; and what those
+    sides send has another noise than what the others gather of it, which piles up as light goes back and forth.
+    """
+    fit = (settings.memory * ROWS_SHARE / max(count, 1) - ROW_BYTES) // HIT_BYTES
+    return int(min(max(fit, LEAST_ROW), settings.row_rays))
 
 
 def submit_rows(cells, sides, settings):

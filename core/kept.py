@@ -14,6 +14,7 @@ from .vectors import counted, runs
 
 AT_ONCE = 1 << 16  # rays of the rows that a solver step gathers over at a time: their light stays in the cache
 ENDLESS = 1 << 62  # bytes: as much memory as it takes
+HIT_BYTES, ROW_BYTES = 4, 8  # that a ray row takes for each of its rays, and for itself
 
 
 class RayRows:
@@ -24,7 +25,7 @@ class RayRows:
 
     def __init__(self, count, rays, memory):
         self.count, self.rays = count, rays
-        self.most = memory // (4 * rays + 8)
+        self.most = memory // (HIT_BYTES * rays + ROW_BYTES)
         self.sides = np.zeros(0, np.int64)
         self.hits = np.zeros((0, rays), np.int32)
         self.kept = np.zeros(count, bool)

@@ -6,10 +6,10 @@ Source: Kunitani, Sato, Kondo, Shimada, "Parallel Processing of Reflex Action in
 
 from __future__ import annotations
 
-from dataclasses import replace
 from time import perf_counter
 
-from .host import light_patches, make_rows, submit_rows
+from .host import light_patches, submit_rows
+from .kept import AnalyticRows, RayRows
 from .records import to_arrays
 from .transport import Transport, round_of
 
@@ -26,7 +26,7 @@ def solve_paper(patches, surfaces, sources, sky, cells, settings):
     cells.start(to_arrays("sources", sources.only(sources.origin >= -1)))
     direct, _ = light_patches(cells, count, settings)
     cells.start(to_arrays("sources", sources))
-    rows = make_rows(count, replace(settings, memory=0))
+    rows = RayRows(count, settings.row_rays, 0) if settings.rows == "rays" else AnalyticRows(count, 0)
     state = Transport(patches.area, surfaces, direct, sky, rows, own=surfaces.exitance)
     rounds, shots = [], 0
     while True:

@@ -198,7 +198,7 @@ class Transport:
 
     def balanced(self, irradiance):
         """The irradiance (C, 2 N) that `settle` has found, with what sides with rows get of one another made to be as much
-        as they send: by a factor for each channel, in islands where most light goes round, sent again to be sent again.
+        as they send: by a factor for each channel and island.
 
         What a side gathers has the noise of its row, and where nearly all light is reflected it piles up: if sides get a
         thousandth too much of one another, and send on 0.9 of it, all light is a hundredth too bright, and whoever gathers
@@ -225,14 +225,13 @@ class Transport:
         before = irradiance.copy()
         before[:, sides] -= got
         first = (surfaces.found + surfaces.send(before))[:, sides]
-        whole, p, q, s = (
+        p, q, s = (
             np.stack([np.bincount(island, area * channel) for channel in values])
-            for values in (sent, got, share * sent, share * first)
+            for values in (got, share * sent, share * first)
         )
         variance = np.bincount(island, area**2 * noise) / rows.rays
         certain = (p - q).sum(axis=0) ** 2 <= CERTAIN**2 * variance
-        chosen = certain & (2 * (q - s).sum(axis=0) > whole.sum(axis=0))
-        factor = np.where(chosen, ratio(s, p - (q - s)), 1.0)
+        factor = np.where(certain, ratio(s, p - (q - s)), 1.0)
         irradiance = irradiance.copy()
         irradiance[:, sides] += (factor[:, island] - 1) * got
         return self._shot(irradiance)

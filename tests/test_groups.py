@@ -44,7 +44,8 @@ def test_groups_are_the_light_of_their_own_lamps_and_add_up_to_all(cells):
     assert grouped.groups.names == ("warm", "cold", "panel", "World")
     assert grouped.rays <= 1.1 * whole.rays  # they share every ray
     np.testing.assert_allclose(grouped.light.direct, whole.light.direct, rtol=1e-4, atol=1e-6)
-    np.testing.assert_allclose(grouped.light.indirect, whole.light.indirect, rtol=2e-3, atol=1e-5)
+    # Each group is balanced by itself: what rows are off by weighs differently in each.
+    np.testing.assert_allclose(grouped.light.indirect, whole.light.indirect, rtol=1e-2, atol=1e-5)
     alone = {
         "warm": scene(LAMPS[:1], 0, 0), "cold": scene(LAMPS[1:], 0, 0), "panel": scene((), 1, 0), "World": scene((), 0, 1),
     }  # fmt: skip

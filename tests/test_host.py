@@ -7,8 +7,8 @@ import pytest
 
 from cell_radiosity.core import transport
 from cell_radiosity.core.cells import LocalCells
-from cell_radiosity.core.host import solve
-from cell_radiosity.core.kept import RayRows
+from cell_radiosity.core.host import LEAST_ROW, ROWS_SHARE, rays_that_fit, solve
+from cell_radiosity.core.kept import ENDLESS, RayRows
 from cell_radiosity.core.kernel import scene_arrays
 from cell_radiosity.core.lights import make_sources
 from cell_radiosity.core.patches import make_patches
@@ -185,18 +185,35 @@ def test_a_balance_takes_noise_off_a_bright_room_with_a_wall_missing():
     assert abs(after.mean() - before.mean()) < 3 * before.std() / np.sqrt(40)
 
 
-def test_nothing_is_balanced_where_it_does_not_matter_or_cannot_be():
-    """Where little light is reflected, and where rays never meet sides that gather, as of surfaces that lie on others."""
-    state = bright_room(0.3, 0)
-    settled, _, _ = state.settle(1e-10)
-    np.testing.assert_array_equal(state.balanced(settled), settled)
+@pytest.mark.parametrize("reflectance", [0.2, 0.45, 0.55])
+def test_a_dim_room_is_balanced_as_a_bright_one(reflectance):
+    """The noise of rows is less there, and taken off all the same: no reflectance at which light jumps."""
+    for seed in range(4):
+        state = bright_room(reflectance, seed)
+        settled, _, _ = state.settle(1e-10)
+        exact = light_of(state, state.direct) / (1 - reflectance)
+        np.testing.assert_allclose(light_of(state, state.balanced(settled)), exact, rtol=1e-7)
 
+
+def test_nothing_is_balanced_where_it_cannot_be():
+    """Where rays never meet sides that gather, as of surfaces that lie on others."""
     state = bright_room(0.9, 0)
     wall = np.flatnonzero(state.direct[0] > 3 * state.direct[0].mean())  # where the lamp is close
     hits = state.rows.hits
     hits[np.isin(hits, wall)] = np.argmin(np.where(state.direct[0] > 0, state.direct[0], np.inf))
     settled, _, _ = state.settle(1e-10)
     np.testing.assert_array_equal(state.balanced(settled), settled)
+
+
+def test_rows_are_as_long_as_memory_holds():
+    """With enough of it as long as asked for; with less no more bytes than their share; and never too short to be of use."""
+    rays = [rays_that_fit(10_000, Settings(row_rays=32, memory=memory)) for memory in (1e9, 4e6, 1e3)]
+    assert rays[0] == 32
+    assert LEAST_ROW < rays[1] < 32
+    rows = RayRows(10_000, rays[1], ENDLESS)
+    rows.add(np.arange(10_000), [{"hits": np.zeros((10_000, rays[1]), np.int32)}])
+    assert 0.9 * ROWS_SHARE * 4e6 < rows.sides.nbytes + rows.hits.nbytes <= ROWS_SHARE * 4e6
+    assert rays[2] == LEAST_ROW
 
 
 @pytest.mark.parametrize("largest", [0.3, 0.9, 0.999])

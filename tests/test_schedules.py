@@ -11,10 +11,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cell_radiosity.core import host
 from cell_radiosity.core.cells import LocalCells, make_cells
 from cell_radiosity.core.contacts import cut_contacts
 from cell_radiosity.core.experiment import convergence, convergence_table, experiment, law_of, replayed, table
 from cell_radiosity.core.host import costliest_first
+from cell_radiosity.core.kept import RayRows
 from cell_radiosity.core.kernel import Kernel, scene_arrays
 from cell_radiosity.core.lights import make_sources
 from cell_radiosity.core.patches import draw_on_patches, make_patches
@@ -153,12 +155,17 @@ def test_costliest_rows_are_dealt_first(cells):
     assert np.corrcoef(rays, np.arange(len(rays)))[0, 1] < -0.3
 
 
-def test_rows_that_do_not_fit_are_used_and_dropped(cells):
-    """With memory for a tenth of the rows the solution is the same within the bounds, and memory is kept to."""
+def test_rows_that_do_not_fit_are_used_and_dropped(cells, monkeypatch):
+    """With memory for a tenth of the rows, as of analytic ones, the solution is the same within the bounds, and memory is kept
+    to; a finding says so."""
     scene = room(10)
     full = run(bake(scene, replace(SETTINGS, error=0.02), cells))
-    tight = run(bake(scene, replace(SETTINGS, error=0.02, memory=4 * 60 * (4 * 256 + 8)), cells))
+    monkeypatch.setattr(host, "make_rows", lambda count, own: RayRows(count, own.row_rays, 60 * (4 * 256 + 8)))
+    tight = run(bake(scene, replace(SETTINGS, error=0.02), cells))
     assert tight.solution.rounds[-1].shots > 1.5 * full.solution.rounds[-1].shots
+    assert len(tight.solution.rows.sides) == 60
+    assert [f.object for f in tight.survey.health] == ["memory"]
+    assert not full.survey.health
     # Sides without a row have what was shot at them, which is noisier than what they would gather.
     weight = np.repeat(full.patches.area, 2)
     first, second = (b.solution.irradiance for b in (full, tight))

@@ -64,6 +64,18 @@ def reflectance_of_1_in_one_channel(bake):
     return off(patch_mean(bake(lit_cube((0.2, 0.5, 1.0)))) * (0.8, 0.5, 0.001), POWER / 6)
 
 
+@case(within=0.01, row_rays=32)
+def rows_that_memory_does_not_hold(bake):
+    """A white room with a block, memory for half of the rays of rows: mean H = Phi / (A (1 - rho)), and a finding says so."""
+    block = box("block", (0.2, 0.3, 0.0), (0.5, 0.6, 0.4), 4, False)
+    scene = join_meshes([box("cube", n=12), block], [gray(0.9)], [Lamp("point", (CUBE,) * 3, (0.7,) * 3)])
+    baked = bake(scene, memory=5e5)
+    assert baked.solution.rows.rays < 32
+    assert findings(baked, "rows of 32 rays"), baked.survey.health
+    sent = (baked.solution.direct[:, 0::2] * baked.patches.area).sum(axis=1) / baked.patches.area.sum()
+    return off(patch_mean(baked), sent / 0.1)
+
+
 @case(within=0.0)
 def no_light_at_all(bake):
     """Black, and no ray for rows."""
