@@ -104,7 +104,7 @@ def reflect_anew(kernel, hit, chosen, x):
     x: (5, K) samples in [0, 1): which source, or side that rays are guided to, a place on it, and the direction of the ray.
     """
     position, normal, start = _places(kernel, hit, chosen)
-    arriving = _one_source(kernel, position, normal, start, x[0], x[1], x[2])
+    arriving = _one_source(kernel, position, normal, start, x[0], x[1], x[2], hit.side[chosen])
     local = hemisphere(x[3], x[4])
     t1, t2 = tangents(normal)
     direction = (local[:, :1] * t1 + local[:, 1:2] * t2 + local[:, 2:] * normal).astype(np.float32)
@@ -148,9 +148,9 @@ def _from_source(kernel, sources, s, position, normal, start, a, b):
     return from_one_test(sources, s, position, normal, seen, a)
 
 
-def _one_source(kernel, position, normal, start, pick, a, b):
+def _one_source(kernel, position, normal, start, pick, a, b, side=None):
     """(C, K) direct irradiance at points (K, 3) [W/m^2] from one source each, picked by what it may give, over the
-    probability of the pick. pick, a, b: (K,) in [0, 1)."""
+    probability of the pick. pick, a, b: (K,) in [0, 1). side: (K,) patch sides that the points lie on, if that is known."""
     sources, crowd = kernel.picked
     light = np.zeros((sources.strength.shape[1], len(position)))
     if not len(sources) and crowd is None:
@@ -159,10 +159,10 @@ def _one_source(kernel, position, normal, start, pick, a, b):
         return sources.strength[0][:, None] * _from_source(kernel, sources, 0, position, normal, start, a, b)
     likely, given = [likely_light(sources, s, position, normal) for s in range(len(sources))], None
     if crowd is not None:  # it counts as one more
-        given = crowd.given(position, normal)
+        given = kernel.given_on(side, position, normal)
         if not len(sources):
             return crowd.one(kernel.caster, position, normal, start, given, pick, a, b)
-        likely.append(np.cumsum(given, axis=1, dtype=float)[:, -1] + TINY)
+        likely.append(given.total + TINY)
     likely = np.stack(likely)
     upto = likely.copy()
     for before, row in pairwise(upto):  # a sixth of the time that cumsum takes down the columns
@@ -178,7 +178,7 @@ def _one_source(kernel, position, normal, start, pick, a, b):
         place, up = position[mine], normal[mine]
         if s == len(sources):
             left = np.clip(1.0 - (1.0 - pick[mine]) * over[mine], 0.0, 1.0)  # of the sample
-            each = place, up, start[mine], given[order[mine]], left, a[mine], b[mine]
+            each = place, up, start[mine], given.of(order[mine]), left, a[mine], b[mine]
             light[:, order[mine]] = crowd.one(kernel.caster, *each) * over[mine]
             continue
         factor = _from_source(kernel, sources, s, place, up, start[mine], a[mine], b[mine])

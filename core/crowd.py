@@ -13,6 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from time import thread_time
+from typing import NamedTuple
 
 import numpy as np
 
@@ -40,6 +41,24 @@ RIM_DOUBT = np.float32(1e-3)  # of an angle: so narrow are beams whose rims floa
 PICK = 7  # salt of the sample sequences
 # cos, where it is positive, and |cos|, as a + b cos + c cos^2: the best that there is over the sphere.
 ONE_WAY, BOTH_WAYS = (3 / 32, 1 / 2, 15 / 32), (3 / 16, 0.0, 15 / 16)
+
+
+class Given(NamedTuple):
+    """What groups of a crowd may give K places: rows (K,) of each (N, G) float32, and of upto (N, G), the sums up to each
+    group."""
+
+    each: np.ndarray
+    upto: np.ndarray
+    row: np.ndarray
+
+    def of(self, chosen):
+        """The same of chosen places."""
+        return self._replace(row=self.row[chosen])
+
+    @property
+    def total(self):
+        """(K,) what all groups may give."""
+        return self.upto[self.row, -1]
 
 
 @dataclass(frozen=True)
@@ -90,6 +109,11 @@ class Crowd:
         missing = np.array([-1.0 if k in (8, 9) else 0.0 for k in range(len(parts))])[:, None]
         table = np.stack(parts)[:, np.minimum(number, len(m) - 1)].swapaxes(0, 1)
         return np.where((number < last[:, None])[:, None], table, missing).astype(np.float32)
+
+    @property
+    def groups(self):
+        """Number of groups."""
+        return len(self._first[0])
 
     @property
     def _away(self):
@@ -207,8 +231,17 @@ class Crowd:
         return result, squares
 
     def given(self, position, normal):
-        """(K, G) float32 roughly what groups of members may give places (K, 3), to pick a single one by."""
-        return self._far(self._place(position, normal), alone=True)[0]
+        """What groups of members may give places (K, 3), to pick a single one by, as Given."""
+        given = self._far(self._place(position, normal), alone=True)[0]
+        return Given(given, _upto(given), np.arange(len(given)))
+
+    def given_patches(self, center, extent, normal):
+        """The same of patches with their centers, normals (K, 3) and extents (K,) [m], wherever on them a place is: each is
+        asked for many times, so near members are looked at one by one."""
+        given = np.empty((len(center), self.groups), np.float32)
+        for part in self._parts(center):
+            given[part] = self._sums(self._place(center[part], normal[part], extent[part]))
+        return Given(given, _upto(given), np.arange(len(given)))
 
     def _sums(self, place, exact=None):
         """(K, G) float32 what groups may give places; exact: see `_set_exact`."""
@@ -235,14 +268,17 @@ class Crowd:
             likely[pair, number] = np.minimum(exact, MOST)
         return near
 
-    def _chosen(self, place, given, upto, row, target, exact=None):
+    def _chosen(self, place, given, upto, row, target, exact=None, table=None):
         """The members (R,) that targets (R,), as shares of what groups are given (K, G) by the places row (R,) in all, stand
         for, and the density (R,) that they are picked with, in units of that. upto: (K, G) sums of what is given up to each
-        group. exact: see `_set_exact`; then also (R,) what near members give unhindered, -1 for others."""
-        target = target * upto[row, -1]
-        group = search_rows(upto, row, target)
-        own = given[row, group].astype(float)
-        left = np.clip(ratio(target - upto[row, group] + own, own), 0.0, SHORT)
+        group. exact: see `_set_exact`; then also (R,) what near members give unhindered, -1 for others. table: (R,) rows of
+        given and upto, where they are not those of the places."""
+        table = row if table is None else table
+        most = upto[table, -1]
+        target = target * most
+        group = search_rows(upto, table, target)
+        own = given[table, group].astype(float)
+        left = np.clip(ratio(target - upto[table, group] + own, own), 0.0, SHORT)
         new = np.append(True, (row[1:] != row[:-1]) | (group[1:] != group[:-1]))[: len(row)]
         pair, places, groups = np.cumsum(new) - 1, row[new], group[new]
         likely, squares = self._near(place, places, groups)
@@ -250,7 +286,7 @@ class Crowd:
         within = np.cumsum(likely, axis=1, dtype=float)
         number = search_rows(within, pair, left * within[pair, -1])
         value = likely[pair, number].astype(float)
-        density = ratio(own * value, within[pair, -1] * upto[row, -1])
+        density = ratio(own * value, within[pair, -1] * most)
         member = self._first[0][group] + np.where(density > 0, number, 0)
         if not exact:
             return member, density
@@ -330,9 +366,10 @@ class Crowd:
 
     def one(self, caster, position, normal, start, given, pick, a, b, occluded=True):
         """(C, K) light of places (K, 3) [W/m^2] from one member each, over the chance that it is picked with: first of
-        a group, by what is `given`. pick, a, b: (K,) in [0, 1)."""
+        a group, by what is Given. pick, a, b: (K,) in [0, 1)."""
         members, row = self.members, np.arange(len(pick))
-        member, density = self._chosen(self._place(position, normal), given, _upto(given), row, pick)
+        place = self._place(position, normal)
+        member, density = self._chosen(place, given.each, given.upto, row, pick, table=given.row)
         factor, seen = members.from_one(caster, member, position, normal, start, a, b, occluded)
         return ratio(factor * seen * members.power[member], density) * members.color[member].T
 

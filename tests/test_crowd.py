@@ -12,9 +12,11 @@ from cell_radiosity.core import crowd as core_crowd
 from cell_radiosity.core.bake import bake, run
 from cell_radiosity.core.cells import LocalCells
 from cell_radiosity.core.crowd import make_crowd, members_of, search_rows
+from cell_radiosity.core.kernel import Kernel, scene_arrays
 from cell_radiosity.core.lights import BALL, make_sources, unoccluded
 from cell_radiosity.core.patches import make_patches
 from cell_radiosity.core.raycast import RayCaster
+from cell_radiosity.core.sampling import tangents
 from cell_radiosity.core.settings import Settings
 from cell_radiosity.core.steep import MOST_MORE, make_fine_patches
 
@@ -106,6 +108,47 @@ def test_single_picks_have_the_right_mean(among, rng):
     ]
     assert abs(np.mean(draws) - light.sum()) < 4 * np.std(draws) / 8
     assert np.std(draws) < 4 * light.sum() / np.sqrt(len(position))
+
+
+def test_single_picks_by_what_a_patch_gets_have_the_right_mean(among, rng):
+    """Wherever on the patch the places lie: groups that give its middle nothing may give its rim something."""
+    crowd, caster, position, normal, _ = among
+    extent, whole = np.full(len(position), 0.2), np.arange(len(position))
+    many = lambda given: np.full(len(given), 256)
+    t1, t2 = tangents(normal)
+    place = (
+        position + rng.uniform(-0.14, 0.14, (len(position), 1)) * t1 + rng.uniform(-0.14, 0.14, (len(position), 1)) * t2
+    )
+    light, start = crowd.at_points(caster, whole, place, normal, normal, many, 3), caster.start(place, normal)
+    given = crowd.given_patches(position, extent, normal).of(whole)
+    draws = [crowd.one(caster, place, normal, start, given, *rng.random((3, len(place)))).sum() for _ in range(64)]
+    assert abs(np.mean(draws) - light.sum()) < 4 * np.std(draws) / 8 + 2e-3 * light.sum()
+    assert np.std(draws) < 4 * light.sum() / np.sqrt(len(place))
+
+
+def test_what_a_side_may_get_depends_on_no_other(rng):
+    """Places that are turned another way than it, and those of wide sides, are looked at alone."""
+    scene = shop()
+    sources, _ = make_sources(scene)
+    patches = make_patches(scene, 0.05)
+    kernel = Kernel(scene_arrays(scene, patches, sources))
+    side = 2 * rng.integers(0, len(patches), 500)
+    position, normal = patches.centroid[side >> 1], patches.normal[side >> 1].copy()
+    normal[::50] = normal[1]
+    found, again = (k.given_on(side[own], position[own], normal[own]) for k, own in (
+        (kernel, np.arange(500)), (Kernel(kernel.arrays), np.arange(500)[3::7])
+    ))  # fmt: skip
+    assert np.array_equal(found.each[found.row[3::7]], again.each[again.row])
+    assert np.array_equal(found.total[3::7], again.total)
+    alone = kernel.picked[1].given(position, normal)
+    bent = np.abs(np.einsum("kd,kd->k", patches.normal[side >> 1], normal) - 1) > 1e-3
+    assert bent.any()
+    assert np.array_equal(found.total[bent], alone.total[bent])
+    flat = ~bent & (alone.total > 0)
+    assert (found.total[flat] > 0).all()
+    assert not np.array_equal(found.total[flat], alone.total[flat])
+    wide = Kernel(scene_arrays(scene, make_patches(scene, 0.2), sources))
+    assert np.array_equal(wide.given_on(np.full(500, 0), position, normal).total, alone.total)
 
 
 def test_patches_get_their_mean(among, rng):
