@@ -1,6 +1,6 @@
 """Make a reference of a scene's light with Cycles, to measure bakes against:
 
-    python tools/reference.py SCENE.blend OUT.npz [--samples 1024]
+    python tools/reference.py SCENE.blend OUT.npz [--samples 1024] [--bounces 32]
 
 OUT.npz holds for each mesh object NAME, at its n vertices: NAME.A (n,) area [m^2]; NAME.mask (n,) bool, interior
 vertices: not on a crease or an open edge, with nothing else within 1e-3 of the scene's diagonal; NAME.EA and NAME.EB
@@ -26,15 +26,15 @@ NEAR = 1e-3  # of the scene's diagonal
 FLAT = 0.9  # least cosine between the faces at a vertex that is not on a crease
 
 
-def bake_with_cycles(samples, seed, wanted=None):
-    """{name: (corners, 3)} irradiance / pi of every mesh object, by Cycles' vertex bake: 32 bounces, nothing clamped.
-    wanted: function of an object's name, whether it is baked."""
+def bake_with_cycles(samples, seed, wanted=None, bounces=32):
+    """{name: (corners, 3)} irradiance / pi of every mesh object, by Cycles' vertex bake, nothing clamped.
+    wanted: function of an object's name, whether it is baked. bounces: of light at most."""
     scene = bpy.context.scene
     scene.render.engine = "CYCLES"
     scene.render.threads_mode, scene.render.threads = "FIXED", 2
     cycles = scene.cycles
     cycles.samples, cycles.seed, cycles.use_adaptive_sampling = samples, seed, False
-    cycles.max_bounces = cycles.diffuse_bounces = 32
+    cycles.max_bounces = cycles.diffuse_bounces = bounces
     cycles.sample_clamp_direct = cycles.sample_clamp_indirect = 0.0
     objects = [o for o in scene.objects if o.type == "MESH" and not o.hide_render and (not wanted or wanted(o.name))]
     for o in objects:
@@ -97,12 +97,13 @@ def main():
     parser.add_argument("scene")
     parser.add_argument("output")
     parser.add_argument("--samples", type=int, default=1024)
+    parser.add_argument("--bounces", type=int, default=32, help="more where surfaces reflect over .8 of the light")
     arguments = parser.parse_args()
     bpy.ops.wm.open_mainfile(filepath=arguments.scene)
     scene, targets = read_scene(bpy.context)
     area, interior = vertex_facts(scene)
     wall, cpu = time.perf_counter(), time.process_time()
-    bakes = [bake_with_cycles(arguments.samples, seed) for seed in (1, 2)]
+    bakes = [bake_with_cycles(arguments.samples, seed, bounces=arguments.bounces) for seed in (1, 2)]
     arrays = {
         "seconds": np.array([time.process_time() - cpu, time.perf_counter() - wall]),
         "samples": arguments.samples,
