@@ -260,9 +260,10 @@ def likely_light(sources, s, position, normal):
 
 def patch_irradiance(sources, caster, centroid, position, normal, a, b, shadowed):
     """(K, C) mean direct irradiance [W/m^2] of K patches, from their centroids (K, 3) and places (K, n, 3) on them;
-    (K,) bool, patches so near a source, or so curved, that their places do not all get the same; and of the brightest
-    source that lights each in part, as the test rays tell: its number (K,) int16, -1 for none, the mean irradiance (K,)
-    per unit of its strength, and the irradiance (K,) [W/m^2] that it would give with nothing in between.
+    (K,) bool, patches so near a source, on the rim of its beam, or so curved, that their places do not all get the same;
+    and of the brightest source that lights each in part, as the test rays tell: its number (K,) int16, -1 for none, the
+    mean irradiance (K,) per unit of its strength, and the irradiance (K,) [W/m^2] that it would give with nothing in
+    between.
 
     From each place one test ray goes to the place a, b (K, n) of every source. normal: (K, 1 or n, 3) at the places; the
     centroids take the first one. A source gives Lambert's
@@ -280,9 +281,9 @@ def patch_irradiance(sources, caster, centroid, position, normal, a, b, shadowed
     partly, mean, whole = np.full(count, -1, np.int16), np.zeros(count), np.zeros(count)
     for s in range(len(sources)):
         factor = unoccluded(sources, s, centroid, normal[:, 0])
-        differs = (
-            curved if sources.kind[s] in (SUN, SKY) else curved | (spread > NEAR * _distance(sources, s, centroid))
-        )
+        differs = curved
+        if sources.kind[s] not in (SUN, SKY):
+            differs = curved | (spread > NEAR * _distance(sources, s, centroid)) | _on_rim(sources, s, centroid, spread)
         near = np.flatnonzero(differs)
         if len(near):
             each = unoccluded(sources, s, position[near].reshape(-1, 3), normal[near].reshape(-1, 3))
@@ -304,6 +305,26 @@ def patch_irradiance(sources, caster, centroid, position, normal, a, b, shadowed
         cut = (share > 0) & (share < 1) & (most > whole[lit])
         partly[lit[cut]], mean[lit[cut]], whole[lit[cut]] = s, (factor[lit] * share)[cut], most[cut]
     return total, uneven, (partly, mean, whole)
+
+
+def _on_rim(sources, s, center, reach):
+    """(K,) bool: whether the rim of the beam of source s, where light falls off, may cross what lies within reach (K,) of
+    centers (K, 3): these say little of the mean there."""
+    outer, blend = sources.cone[s]
+    flat = sources.kind[s] == FLAT
+    if outer <= (0 if flat else -1):
+        return np.zeros(len(center), bool)
+    if flat:  # the tangent of its half angle
+        outer, blend = 1.0 / np.sqrt(1.0 + outer * outer), 0.0
+    inner = outer + (1.0 - outer) * blend
+    away = center - sources.position[s]
+    distance = length(away)
+    # Cosines of angles to the axis: of the center, and of the nearest and furthest place around it.
+    rise = np.clip(ratio(dot(away, np.broadcast_to(sources.direction[s], away.shape)), distance), -1.0, 1.0)
+    sine = np.minimum(ratio(reach + sources.radius[s] + sources.reaches[s], distance), 1.0)
+    along, across = rise * np.sqrt(1.0 - sine * sine), np.sqrt(1.0 - rise * rise) * sine
+    on_axis = (rise > 0) & (rise * rise + sine * sine >= 1.0)
+    return (sine >= 1.0) | ((on_axis | (along + across > outer)) & (along - across < inner))
 
 
 def test_rays(sources, s, caster, position, normal, geometric, start, a, b):

@@ -18,7 +18,7 @@ from .sampling import R4, fraction, hemisphere, lattice4, scatter, tangents
 from .vectors import dot, length, ratio, runs
 
 ROW, DIRECT, SHADOW, CROWD = 1, 2, 5, 0  # salts: the samples of rows and of direct light have nothing in common
-UNEVEN = 8  # times as many places on patches near a source
+UNEVEN = 8  # times as many places on patches near a source, or on the rim of its beam
 CROWDED = 4  # times as many, each for one of a crowd of sources
 # Gauss-Legendre nodes and weights on [0, 1].
 GAUSS = {
@@ -166,8 +166,8 @@ def _passing(kernel, side, receiver, behind, first, rays, seed):
 
 def light_patches(kernel, sides, samples, seed):
     """{"direct": (C, K)} mean irradiance [W/m^2] that the sources give patch sides (K,), from `samples` places each, and
-    UNEVEN times as many where they do not all get the same for a source that is near; and which of them a source lights
-    in part: "partly" (E,), with the other fields "source", "mean" and "whole" of the Edges."""
+    UNEVEN times as many where they do not all get the same, for a source is near or its beam ends there; and which of them
+    a source lights in part: "partly" (E,), with the other fields "source", "mean" and "whole" of the Edges."""
     direct = np.empty((kernel.sources.strength.shape[1], len(sides)))
     uneven, number = np.zeros(len(sides), bool), np.arange(len(sides))
     edges = np.empty(len(sides), np.int16), np.empty(len(sides)), np.empty(len(sides))

@@ -15,7 +15,7 @@ from cell_radiosity.core.polygons import polygon_factor
 from cell_radiosity.core.settings import Settings
 from cell_radiosity.core.state import load_state, save_state
 
-from scenes import Lamp, Material, join_meshes, sheet
+from scenes import Lamp, Material, join_meshes, sheet, solve_scene
 
 RHO, SUN = 0.5, 3.0
 MATERIALS = (Material("floor", (RHO,) * 3), Material("black", (0.0,) * 3))
@@ -107,3 +107,24 @@ def test_bits_and_states_are_the_same(tmp_path):
     whole = run(bake(scene, more, LocalCells(), state=one.state()))
     assert np.array_equal(on.light.total, whole.light.total)
     assert np.array_equal(on.solution.edges.mean, one.solution.edges.mean)
+
+
+BEAM = 2 * np.arctan(0.3 / 4)  # as wide as a patch is long, where it meets the floor
+
+
+@pytest.mark.parametrize("lamp", [
+    Lamp("spot", (1.0,) * 3, (0, 0, 4), angle=BEAM, blend=0.5),
+    Lamp("spot", (1.0,) * 3, (0, 0, 4), angle=BEAM, blend=0.5, radius=0.02),
+    Lamp("area", (1.0,) * 3, (0, 0, 4), size=(0.1, 0.1), spread=BEAM),
+], ids=["spot", "soft spot", "narrow area lamp"])  # fmt: skip
+def test_patches_on_the_rim_of_a_beam_get_all_of_its_power(lamp):
+    """The power of a spot is 2 pi I times the integral of its smooth step over the cosine; an area lamp's does not depend on
+    its spread. What the centers of four patches get, around the middle of the beam, says nothing of it."""
+    floor = sheet("floor", [(-2, -2, 0), (2, -2, 0), (2, 2, 0), (-2, 2, 0)])
+    screen = sheet("screen", [(-2, -2, 3), (-1, -2, 3), (-1, 2, 3), (-2, 2, 3)])  # something may stand in the way
+    scene = join_meshes([floor, screen], [Material("black", (0.0,) * 3)], [lamp])
+    solved = solve_scene(scene, LocalCells(), edge=0.4, patch_samples=16)
+    whole = 1.0 - np.cos(BEAM / 2)
+    power = 2 * np.pi * whole * (1 - 0.5 / 2) if lamp.kind == "spot" else np.pi * 0.1 * 0.1
+    landed = (solved.patches.area * solved.solution.direct[0, 0::2]).sum()
+    assert landed == pytest.approx(power, rel=0.03)
