@@ -361,11 +361,15 @@ def _bounded(scene, k, findings):
             fixed[name] = tuple(map(float, good))
     if not 0.0 <= material.alpha <= 1.0:
         fixed["alpha"] = 0.0 if material.alpha < 0.0 else 1.0
-    bad = [n for n in fixed if n != "tint" and not (np.asarray(getattr(material, n), float) > 1e30).all()]
+    # Reflectances far above 1 are found where they are bounded.
+    far = {n for n in fixed if n != "exitance" and (np.asarray(getattr(material, n), float) > BRIGHTEST).all()}
+    bad = [n for n in fixed if n != "tint" and n not in far]
     if bad and (scene.polygon_material == k).any():
         what = ", ".join(bad)
         findings.append(
-            Finding(material.name, f"a material whose {what} is negative or not a finite number", "0 was taken")
+            Finding(
+                material.name, f"a material whose {what} is negative, no number, or beyond all measure", "0 was taken"
+            )
         )
     return replace(material, **fixed)
 

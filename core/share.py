@@ -13,7 +13,7 @@ from .points import face_normals, smooth_vertices
 from .records import to_arrays
 from .sampling import R4, R5, fraction, hemisphere, scatter, tangents
 from .sky import cells_of, split_sky
-from .vectors import by_coordinate, rows_of
+from .vectors import by_coordinate, ratio, rows_of
 
 COMMON = 0.5  # of the light of common interiors is reflected: what is taken where nobody looks
 PLACES = 1024  # that are looked at
@@ -103,6 +103,7 @@ def light_contrast(scene):
     light = np.zeros(len(triangle))
     for s in chosen:
         light += weight[s] * sources.strength[s].mean() * unoccluded(sources, s, position, normal)
+    light = ratio(light, light.max(initial=0.0))  # the square of very little light has no place in float64
     return float((light * light).mean() / light.mean() ** 2) if light.any() else 1.0
 
 

@@ -97,6 +97,23 @@ def an_emitter_seen_edge_on(bake):
     return float(total(bake(join_meshes([floor, lamp], [gray(0.5), gray(0.0, 5.0)])))[:25].max())
 
 
+@case(within=1e-4)
+def light_from_1e_minus_30_to_1e30(bake):
+    """A glowing room of any strength gets as many times as much; what is next to nothing is black, and so is what is beyond all
+    measure, with a finding."""
+
+    def room(exitance):
+        return bake(join_meshes([box("room", n=4, materials={"Z": 1})], [gray(0.5), gray(0.5, exitance)]))
+
+    one = total(room(1.0))
+    worst = max(off(total(room(e)) / e, one) for e in (1e-30, 1e-6, 1e12, 1e29))
+    for exitance, told in ((1e-300, False), (1e31, True), (1e300, True)):
+        baked = room(exitance)
+        assert not total(baked).any()
+        assert bool(findings(baked, "beyond all measure")) == told, baked.survey.health
+    return worst
+
+
 @case(within=1e-12)
 def a_ratio_of_1e12(bake):
     """A dim room beside one that is 1e12 times brighter: the dim one is what it is alone."""
