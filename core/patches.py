@@ -15,6 +15,7 @@ Each patch has two sides with a radiosity of their own: side 2 p is the front of
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -71,6 +72,11 @@ class Patches:
 
     def __len__(self):
         return len(self.area)
+
+    @cached_property
+    def area_before(self):
+        """(M + 1,) area of the elements before each, and of all [m^2]."""
+        return np.append(0.0, np.cumsum(self.element_area))
 
     def cells_around(self, triangles):
         """(K,) int64 number of cells of the grids that triangles (K,) lie in."""
@@ -163,7 +169,7 @@ def patch_of_hit(patches, vertices, triangles, triangle, u, v):
         place = [p + s * (q - p) + t * (r - p) for p, q, r in zip(a, b, c)]
         cut = -1 - np.take(patch, hit)
         planes, front = np.take(patches.cut_plane, cut, axis=0), np.zeros(len(hit), np.int64)
-        for k in np.flatnonzero(patches.cut_plane.any(axis=(0, 2))):
+        for k in np.flatnonzero(planes.any(axis=(0, 2))):
             x, y, z, level = planes[:, k].T
             front |= (x * place[0] + y * place[1] + z * place[2] > level).astype(np.int64) << k
         patch[hit] = patches.cut_patch[cut, front]
@@ -182,7 +188,7 @@ def draw_on_patches(patches, ids, a, b):
     if not len(several):
         return position, normal
     # The element at the share a of the patch's area, and the place in that element where a then is.
-    upto = np.append(0.0, np.cumsum(patches.element_area))
+    upto = patches.area_before
     target = upto[first[several], None] + a[several] * patches.area[ids[several], None]
     element = np.clip(np.searchsorted(upto, target, side="right") - 1, first[several, None], last[several, None])
     a = np.clip((target - upto[element]) / patches.element_area[element], 0.0, 1.0)
