@@ -24,6 +24,7 @@ EASED_FROM = 0.01  # the error asked for: below it the longer rows cost more tha
 # Before it, in how many places their direct light is tested at least, where most light is direct: a shadow that is missed
 # on so long a patch tells there. Where lamps light a room it does not, and tests toward all of them would double the time.
 COARSE = ((0.6, 12, 8, 4, 0.6), (0.4, 18, 8, 4, 0.6), (0.1, 18, 8, 16, 1.0), (0.05, 25, 8, 16, 1.6))
+SHARP = 16  # places on patches where their direct light is tested, where every object is to reach the error in sunlight
 CONTROL_POINTS = 320
 EACH_OBJECT = 24  # of them, if every object is to reach the error
 MOST_CONTROL_POINTS = 2000
@@ -67,6 +68,17 @@ def eased(settings, found):
                 pilot = round(more * pilot)
             samples = max(settings.patch_samples, samples if found.indirect < COMMON else 0)
             return replace(settings, patch_edge=1 / parts, row_rays=rays, pilot_rays=pilot, patch_samples=samples)
+    return settings
+
+
+def sharpened(settings, scene):
+    """Settings with as many places on patches where their direct light is tested as every object calls for.
+
+    Where the sun's shadow ends on a patch a few places may all be in it, or none. The whole does not mind; the lintel of a
+    window gets most of its light from a few such patches, and was off by 6 % where 2 % was asked for.
+    """
+    if settings.per_object and any(lamp.kind == "sun" for lamp in scene.lamps):
+        return replace(settings, patch_samples=max(settings.patch_samples, SHARP))
     return settings
 
 

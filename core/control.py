@@ -151,7 +151,8 @@ def control_points(kernel, rays, seed, **points):
         deeper = np.zeros((len(truth), len(counts)))
         samples = ray_samples(points.ids[part], shooter.each, CONTROL + 8 * seed)[:, counts]
         deeper[:, counts] = reflect_anew(kernel, hit, np.flatnonzero(counts), samples)
-        flat = np.where(counts, read_reflected(kernel, hit, points.ids[part], points.size[part], seed, deeper), 0.0)
+        place = points.ids[part], points.geometric[part], points.size[part]
+        flat = np.where(counts, read_reflected(kernel, hit, *place, seed, deeper), 0.0)
         truth[:, part] += weighted_sum(emitted + deeper, weight)
         patches[:, part] = weighted_sum(flat - deeper, weight)
     return {"truth": truth, "patches": patches}

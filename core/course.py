@@ -16,7 +16,18 @@ import numpy as np
 from .accuracy import CROWDED, MOST_RAYS, Estimate, estimate_error, rays_by_object, rays_wanted
 from .averages import Averages, places_wanted
 from .budget import cells_within
-from .choices import control_count, control_rays, eased, finer, goes_on, more_control, obstructed, parted, shadowless
+from .choices import (
+    control_count,
+    control_rays,
+    eased,
+    finer,
+    goes_on,
+    more_control,
+    obstructed,
+    parted,
+    shadowless,
+    sharpened,
+)
 from .clock import Clock
 from .contacts import cut_contacts
 from .control import Control, Traced, draw_control
@@ -124,7 +135,7 @@ class Course:
         self.settings = settings
         self._fit(0, self._points_foreseen(), begun=False)
         self.survey = self._surveyed(settings)
-        self._asked, self.settings = settings, eased(settings, self.survey)
+        self._asked, self.settings = settings, sharpened(eased(settings, self.survey), scene)
         self._coarse = False
         if state:
             usual, self.settings = self.settings, state.knobs(self.settings)
@@ -288,8 +299,8 @@ class Course:
 
     def _gathering(self, points, side, gathered=None):
         """A Gathering at points, (P,) on patch sides."""
-        close = goes_on(self.settings)
-        self.cells.start(light_arrays(points, self.solution, self.surfaces, self.sky, side, close))
+        near = goes_on(self.settings), self.settings.per_object
+        self.cells.start(light_arrays(points, self.solution, self.surfaces, self.sky, side, *near))
         start = partial(patch_light, side, self.solution)
         return Gathering(
             points, len(self.solution.direct), start, self.cells, self.settings, self._group_count, gathered

@@ -191,10 +191,10 @@ class Gathering:
         return light
 
 
-def light_arrays(points, solution, surfaces, sky, side, close):
+def light_arrays(points, solution, surfaces, sky, side, close=False, gaps=False):
     """The arrays that cells need to gather at points, as {name: array}. sky: (C, M) exitance of the
     world, of each cell of its map [W/m^2]. side: (P,) the patch side that each point lies on. close: whether near hits of
-    fine meshes go on, see `anew`."""
+    fine meshes go on; gaps: and those across narrow gaps, see `anew`."""
     light = _on_sides(solution.irradiance, side).max(axis=0)
     # What rays bring, with what comes from beyond last: reflected light, and light no sampled source stands for.
     reflected = np.column_stack([solution.reflected, np.zeros_like(sky)])
@@ -216,6 +216,7 @@ def light_arrays(points, solution, surfaces, sky, side, close):
         "gather.through": through,
         "gather.level": level,
         "gather.close": np.array(close),
+        "gather.gaps": np.array(gaps),
         **edge_arrays(solution.edges if reflected.any() else None, surfaces.reflectance, level),
         "gather.found": found if found.any() else nothing,
     }
@@ -252,7 +253,7 @@ def gather_points(kernel, rays, tests, seed, links, **points):
     for part in runs(len(points), shooter.each):
         hit, weight = shooter.shoot(part)
         if reflected.size:
-            light = read_reflected(kernel, hit, points.ids[part], points.size[part], seed)
+            light = read_reflected(kernel, hit, points.ids[part], points.geometric[part], points.size[part], seed)
             result["reflected"][:, part] = weighted_sum(light, weight)
         if found.size:
             result["found"][:, part] = weighted_sum(read_light(found, hit.side), weight)

@@ -80,6 +80,11 @@ class Kernel:
     def patches(self):
         return from_arrays(Patches, "patches", self.arrays)
 
+    @cached_property
+    def sizes(self):
+        """(N,) float32 square roots of the areas of patches, in scene diagonals."""
+        return (np.sqrt(self.patches.area) * self.caster.frame[1]).astype(np.float32)
+
     @property
     def sources(self):
         """The Sources that are tested one by one."""
@@ -203,8 +208,8 @@ class Kernel:
         """A kernel with some arrays replaced; what was built from the others is kept."""
         kernel = Kernel({**self.arrays, **arrays})
         built = {
-            "caster": "scene.", "patches": "patches.", "element_corners": "patches.", "_split": "sources.", "guide": "guide.",
-            "_given": ("patches.", "sources."),
+            "caster": "scene.", "patches": "patches.", "sizes": "patches.", "element_corners": "patches.",
+            "_split": "sources.", "guide": "guide.", "_given": ("patches.", "sources."),
         }  # fmt: skip
         for name, prefix in built.items():
             if name in self.__dict__ and not any(key.startswith(prefix) for key in arrays):

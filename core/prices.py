@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from math import ceil, sqrt
 
 from .accuracy import AIM, ENOUGH, Estimate, noise_wanted, rays_wanted
-from .choices import MOST_CONTROL_RAYS, UNSURE, control_rays, eased
+from .choices import MOST_CONTROL_RAYS, UNSURE, control_rays, eased, sharpened
 from .costs import ROWS
 from .effects import Survey
 from .patches import count_patches, patch_size
@@ -106,7 +106,7 @@ def control_seconds(pilot, error):
 def transport_prices(pilot, errors):
     """(seconds of patches and transport, MB more than those of the pilot) at each of the errors.
 
-    Direct light takes as long as there are places on patches where it is tested, rows as long as there are patches, and
+    Direct light takes as long as there are places on patches where it is sharpened, rows as long as there are patches, and
     more the longer they are; the rest of what the pilot has taken is spent in any case.
     """
     parts, (host, cells) = pilot.parts, pilot.pace
@@ -114,7 +114,7 @@ def transport_prices(pilot, errors):
     if pilot.settings.patch_edge is None:
         return [(spent, 0.0)] * len(errors)
     asked = (Settings.for_error(error, per_object=pilot.settings.per_object) for error in errors)
-    knobs = [pilot.settings, *(eased(s, pilot.survey) for s in asked)]
+    knobs = [pilot.settings, *(sharpened(eased(s, pilot.survey), pilot.scene) for s in asked)]
     sizes = [patch_size(pilot.scene, k) for k in knobs]
     different = sorted(set(sizes))
     counts = dict(zip(different, count_patches(pilot.scene, different)))

@@ -68,6 +68,24 @@ def test_near_hits_of_a_fine_mesh_go_on(monkeypatch):
     assert error(FINE=0.5, CLOSE=0.0) > 0.2
 
 
+def test_deep_in_a_gap_nobody_reads_the_light_of_its_mouth(monkeypatch):
+    """A sunlit floor, and a plate that hangs close above half of it: light falls off within the gap's width. Where each object
+    is to reach the error, what is found there on patches seven times as wide is what patches a quarter as wide show."""
+    floor = sheet("floor", [(-1, -1, 0), (2, -1, 0), (2, 1, 0), (-1, 1, 0)], 9, 6)
+    plate = sheet("plate", [(0, -1, 0.05), (0, 1, 0.05), (2, 1, 0.05), (2, -1, 0.05)], 6, 6)
+    scene = join_meshes([floor, plate], [Material("white", (0.8,) * 3)], [Lamp("sun", (SUN,) * 3)])
+
+    def light(**knobs):
+        baked = run(bake(scene, settings(per_object=True, gather_rays=256, row_rays=256, **knobs), LocalCells()))
+        inside = (np.abs(baked.points.position - (1 / 3, 0, 0)) < (0.01, 0.9, 0.01)).all(axis=1)
+        assert inside.sum() == 5
+        return baked.light.total[0, inside].mean() / SUN
+
+    assert light() == pytest.approx(0.0166, rel=0.15)  # of patches 1.2 cm long
+    monkeypatch.setattr(anew, "ACROSS", 2.0)
+    assert light() > 0.03
+
+
 def test_further_away_the_mean_is_read(monkeypatch):
     """One ray among many that meets a strip of light says less of it than its mean: only near hits are read anew."""
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cell_radiosity.core.cells import LocalCells
-from cell_radiosity.core.choices import EASED, EVEN, control_rays, eased, parted
+from cell_radiosity.core.choices import EASED, EVEN, control_rays, eased, parted, sharpened
 from cell_radiosity.core.effects import survey
 from cell_radiosity.core.share import COMMON, light_contrast
 
@@ -110,6 +110,15 @@ def test_shadows_on_coarse_patches_are_looked_for_in_more_places():
     room = eased(rough, replace(found, indirect=0.5))  # lit by lamps
     assert room.patch_edge > rough.patch_edge
     assert room.patch_samples == rough.patch_samples
+
+
+def test_shadows_of_the_sun_are_looked_for_in_more_places_where_every_object_counts():
+    usual, each = (Settings.for_error(0.02, per_object=own) for own in (False, True))
+    assert sharpened(each, court()).patch_samples == 16
+    assert sharpened(usual, court()) == usual
+    assert sharpened(each, court(lamps=[Lamp("point", (1.0,) * 3)])) == each
+    assert sharpened(replace(each, patch_samples=40), court()).patch_samples == 40
+    assert run(bake(court(), each, LocalCells())).settings.patch_samples == 16
 
 
 def test_pilots_go_by_the_share_unless_they_were_asked_for():
