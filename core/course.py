@@ -13,7 +13,16 @@ from time import perf_counter
 
 import numpy as np
 
-from .accuracy import CROWDED, MOST_RAYS, Estimate, estimate_error, rays_by_object, rays_wanted
+from .accuracy import (
+    CROWDED,
+    MOST_RAYS,
+    Estimate,
+    estimate_error,
+    noise_wanted,
+    rays_by_object,
+    rays_tested,
+    rays_wanted,
+)
 from .averages import Averages, places_wanted
 from .budget import cells_within
 from .choices import (
@@ -309,9 +318,22 @@ class Course:
     def ask(self, wanted):
         """Ask for replicates of the light at the points: (rays, ids of points or None) of each."""
         for rays, ids in wanted:
-            self.gathering.ask(rays, ids)
+            self.gathering.ask(rays, ids, self._test_rays(rays, ids))
         self._bounds += [self.solution.bound] * len(wanted)
         self._doubt = inf
+
+    def _test_rays(self, rays, ids):
+        """With how many of the rays of another replicate test rays go: all, where it is not known what noise is allowed."""
+        if self.estimate is None or ids is not None or self._timed or self.settings.gather_rays is not None:
+            return rays
+        goal = noise_wanted(self.estimate, self.settings.error)
+        so_far = sum(r.test_rays for r in self.gathering.gathered.replicates)
+        return rays_tested(self._direct_noise(), so_far, goal, rays)
+
+    def _direct_noise(self):
+        """Square of the noise of direct light, as a share of all light."""
+        power = float((self.points.area * (self._light().total ** 2).sum(axis=0)).sum())
+        return self.gathering.direct_noise() / max(power, 1e-300)
 
     def gather(self):
         """Gather the replicates that were asked for."""
@@ -345,6 +367,7 @@ class Course:
                 solve=self.clock.watched,
                 pace=self.clock.pace(),
                 memory_mb=used["host_mb"] + sum(used["cells_mb"]),
+                direct=self._direct_noise(),
             ),
             errors,
         )

@@ -20,7 +20,18 @@ from .direct import TESTS, light_of_crowd, light_of_sources
 from .guide import NOTHING, Aim, guide_samples
 from .points import Block, block_arrays
 from .records import to_arrays
-from .replicates import PARTS, WHOLE, Light, Replicate, block_of_light, light_blocks, light_of_block, mean_light
+from .replicates import (
+    PARTS,
+    WHOLE,
+    Light,
+    Replicate,
+    block_of_light,
+    direct_variance,
+    light_blocks,
+    light_of_block,
+    mean_light,
+    mean_of,
+)
 from .sampling import R2, fraction, hemisphere, lattice, scatter, tangents
 from .vectors import counted, ratio, runs, span
 
@@ -91,12 +102,20 @@ class Gathering:
         """Number of the first Replicate that is not complete, None if all are."""
         return next((k for k, r in enumerate(self.gathered.replicates) if len(r.left)), None)
 
-    def ask(self, rays, ids=None):
-        """Ask for another replicate of `rays` rays at points ids (K,), all if None."""
+    def ask(self, rays, ids=None, test_rays=None):
+        """Ask for another replicate of `rays` rays at points ids (K,), all if None; test_rays: so many of them have test rays
+        toward sources with them, None: all."""
         count, light = len(self.points), (np.zeros(self._shape, np.float32) for _ in PARTS)
         asked = np.ones(count, bool) if ids is None else np.isin(np.arange(count), ids)
         self.gathered.replicates.append(
-            Replicate(rays, asked, np.zeros(count, bool), *light, np.zeros(count, np.float32))
+            Replicate(
+                rays,
+                rays if test_rays is None else test_rays,
+                asked,
+                np.zeros(count, bool),
+                *light,
+                np.zeros(count, np.float32),
+            )
         )
 
     def gather(self):
@@ -106,6 +125,7 @@ class Gathering:
         ids, rays = replicate.left, replicate.rays
         arguments = dict(
             rays=rays,
+            test_rays=replicate.test_rays,
             tests=self.settings.light_samples,
             seed=self.settings.seed + SEEDS * number,
             links=int(not number),
@@ -144,9 +164,17 @@ class Gathering:
 
     def sampled(self, ids):
         """(G C, K) light of the sampled sources alone at points ids (K,), a part of the direct light."""
-        weight = [r.weight[ids] for r in self.gathered.replicates]
+        weight = [r.test_weight[ids] for r in self.gathered.replicates]
         total = sum(w * r.direct[:, ids] for w, r in zip(weight, self.gathered.replicates))
         return ratio(total, sum(weight))
+
+    def direct_noise(self):
+        """Variance of the direct light of sampled sources [W^2/m^2], summed over area and channels."""
+        replicates, total = self.gathered.replicates, 0.0
+        for part in light_blocks(len(self.points), len(self.points) > WHOLE):
+            own = [r.part(part) for r in replicates]
+            total += float((self.points.area[part] * direct_variance(own, mean_of(own, "direct"), self._groups)).sum())
+        return total
 
     def light(self, diagonal):
         """The Light so far, filtered; diagonal: of the scene [m]. See `mean_light`."""
@@ -229,8 +257,8 @@ def task_size(count, rays, cells):
     return min(max(count * cells.points_each // (SHARES * cells.count), least), most, TASK_POINTS)
 
 
-def gather_points(kernel, rays, tests, seed, links, **points):
-    """Light at the K points of a Block, by `rays` rays and `tests` times the usual test rays: "direct" of sampled
+def gather_points(kernel, rays, test_rays, tests, seed, links, **points):
+    """Light at the K points of a Block, by `rays` rays and `tests` times the usual test rays of test_rays: "direct" of sampled
     sources, "found" by rays and "reflected", (C, K) float32 [W/m^2]; "nearness" (K,) float32, the mean inverse distance
     that their rays went, in scene diagonals; "closest" (K,) float32, the shortest; if `links`, "links" (E,) bool, which
     of their neighbors they see along the edge."""
@@ -239,9 +267,10 @@ def gather_points(kernel, rays, tests, seed, links, **points):
     result = {name: np.zeros((count, len(points)), np.float32) for name in PARTS}
     result.update(nearness=np.zeros(len(points), np.float32), closest=np.full(len(points), np.inf, np.float32))
     begun = thread_time()
-    result["direct"][:] = light_of_sources(kernel, points, rays, tests, seed)
-    if kernel.crowd is not None:
-        result["direct"] += light_of_crowd(kernel, points, rays, tests, seed)
+    if test_rays:
+        result["direct"][:] = light_of_sources(kernel, points, test_rays, tests, seed)
+        if kernel.crowd is not None:
+            result["direct"] += light_of_crowd(kernel, points, test_rays, tests, seed)
     kernel.caster.note("sources", begun)
     if links:
         begun = thread_time()

@@ -1,16 +1,16 @@
 """The price list: what an error would cost, as the pilot of a bake foretells it.
 
-A bake spends seconds on patches and rows, which grow with their number; on replicates, whose test rays toward sources are
-cast however few their gather rays; and on its control. The pilot has measured each: what remains is how much of each an
-error calls for.
+A bake spends seconds on patches and rows, which grow with their number; on replicates, whose test rays toward sources, if
+the noise of direct light calls for any, are cast however few their gather rays; and on its control. The pilot has measured
+each: what remains is how much of each an error calls for.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import ceil, sqrt
+from math import ceil, inf, sqrt
 
-from .accuracy import AIM, ENOUGH, Estimate, noise_wanted, rays_wanted
+from .accuracy import AIM, ENOUGH, Estimate, noise_wanted, rays_tested, rays_wanted
 from .choices import MOST_CONTROL_RAYS, UNSURE, control_rays, eased, sharpened
 from .costs import ROWS
 from .effects import Survey
@@ -42,7 +42,8 @@ class Price:
 class Pilot:
     """What the pilot of a bake has found out. points, patches: their number; rays: of each so far, in so many replicates.
     control_rays: of each truth; control_rate: seconds of one more. seconds: {phase: so far}, and "replicates", which went
-    to "rays" rays a point. parts: {part of the cells' work: CPU seconds}; solve: those of the host's own solve."""
+    to "rays" rays a point. parts: {part of the cells' work: CPU seconds}; solve: those of the host's own solve. direct:
+    square of the noise of direct light, as a share of all light."""
 
     scene: Scene
     settings: Settings
@@ -59,6 +60,7 @@ class Pilot:
     solve: float
     pace: tuple
     memory_mb: float
+    direct: float = inf
 
 
 def price_list(pilot, errors=PRICED):
@@ -67,7 +69,8 @@ def price_list(pilot, errors=PRICED):
     prices = []
     for error, (seconds, memory) in zip(errors, transport_prices(pilot, errors)):
         more = rays_more(pilot, error)
-        seconds += pilot.seconds["survey"] + control_seconds(pilot, error) + AGAIN * fixed * (more > 0) + each * more
+        tested = rays_tested(pilot.direct, pilot.rays, noise_wanted(pilot.estimate, error), more) > 0
+        seconds += pilot.seconds["survey"] + control_seconds(pilot, error) + AGAIN * fixed * tested + each * more
         memory += pilot.memory_mb + POINT_MB * pilot.points * AGAIN * (more > 0)
         prices.append(Price(error, seconds, memory, pilot.rays + more))
     return tuple(prices)
@@ -82,8 +85,8 @@ def rays_more(pilot, error):
 
 
 def replicate_seconds(pilot):
-    """Seconds that another replicate takes however few its rays, and that each of its rays takes: most of the test rays
-    toward sources are cast in any case."""
+    """Seconds that another replicate with test rays toward sources takes however few its rays, and that each of its rays
+    takes: most of the test rays are cast in any case."""
     seconds, count = pilot.seconds, max(pilot.replicates, 1)
     tests = pilot.parts.get("sources", 0.0) / max(pilot.parts.get("gather", 0.0), 1e-9)
     fixed = ANY_RAYS * min(tests, 1.0) * seconds["replicates"] / count
@@ -106,7 +109,7 @@ def control_seconds(pilot, error):
 def transport_prices(pilot, errors):
     """(seconds of patches and transport, MB more than those of the pilot) at each of the errors.
 
-    Direct light takes as long as there are places on patches where it is sharpened, rows as long as there are patches, and
+    Direct light takes as long as there are places on patches where it is tested, rows as long as there are patches, and
     more the longer they are; the rest of what the pilot has taken is spent in any case.
     """
     parts, (host, cells) = pilot.parts, pilot.pace

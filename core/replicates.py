@@ -7,7 +7,8 @@ number of points; cells can do that, and the bits do not depend on who does.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from dataclasses import fields as fields_of
 from math import sqrt
 
 import numpy as np
@@ -46,12 +47,13 @@ class Light:
 
 @dataclass(frozen=True)
 class Replicate:
-    """One independent sample of the light, by so many rays at each of the points that are asked, (P,) bool; taken: (P,)
-    bool, where that is done. (C, P) float32 each, direct light of sampled sources, light found by rays, and light
-    reflected at least once [W/m^2]; nearness: (P,) float32 mean inverse distance that the rays went, in scene
-    diagonals."""
+    """One independent sample of the light, by so many rays at each of the points that are asked, (P,) bool, and the test
+    rays toward sources that go with test_rays of them, none at all if that is 0; taken: (P,) bool, where that is done.
+    (C, P) float32 each, direct light of sampled sources, light found by rays, and light reflected at least once [W/m^2];
+    nearness: (P,) float32 mean inverse distance that the rays went, in scene diagonals."""
 
     rays: int
+    test_rays: int
     asked: np.ndarray
     taken: np.ndarray
     direct: np.ndarray
@@ -61,8 +63,18 @@ class Replicate:
 
     @property
     def weight(self):
-        """(P,) how much it counts at each point, 0 where it was not taken (yet)."""
+        """(P,) how much what its rays bring counts at each point, 0 where it was not taken (yet)."""
         return self.taken * weight_of(self.rays)
+
+    @property
+    def test_weight(self):
+        """(P,) the same of its direct light."""
+        return self.taken * weight_of(self.test_rays)
+
+    def part(self, part):
+        """The same at part of the points, a slice."""
+        fields = ((f.name, getattr(self, f.name)) for f in fields_of(self))
+        return replace(self, **{name: x[..., part] for name, x in fields if isinstance(x, np.ndarray)})
 
     @property
     def left(self):
@@ -117,7 +129,8 @@ def block_of_light(points, links, replicates, part):
     start = np.append(0, np.cumsum(np.bincount(here[kept], minlength=len(ids)))).astype(np.int32)
     first, last = np.searchsorted(ids, (part.start, part.stop))
     return dict(
-        first=int(first), last=int(last), rays=np.array([r.rays for r in replicates]),
+        first=int(first), last=int(last),
+        rays=np.array([r.rays for r in replicates]), test_rays=np.array([r.test_rays for r in replicates]),
         position=rows_of(points.position, ids), normal=rows_of(points.normal, ids), neighbor_start=start, neighbor=there[kept].astype(np.int32),
         links=links[edge[kept]],
         taken=_stacked(replicates, "taken", ids), nearness=_stacked(replicates, "nearness", ids),
@@ -132,13 +145,28 @@ def _stacked(replicates, name, ids):
 
 
 def light_of_block(
-    kernel, first, last, rays, taken, nearness, links, rows, groups, diagonal, direct, found, reflected, **near
+    kernel,
+    first,
+    last,
+    rays,
+    test_rays,
+    taken,
+    nearness,
+    links,
+    rows,
+    groups,
+    diagonal,
+    direct,
+    found,
+    reflected,
+    **near,
 ):
     """The light of rows first to last of a block, see `block_of_light` and `mean_light`. rows: of light."""
     none = np.broadcast_to(np.float32(0.0), (len(rays), rows, len(taken[0])))
     parts = (part if part.size else none for part in (direct, found, reflected))
     replicates = [
-        Replicate(int(n), own, own, *light, far) for n, own, far, *light in zip(rays, taken, nearness, *parts)
+        Replicate(int(n), int(m), own, own, *light, far)
+        for n, m, own, far, *light in zip(rays, test_rays, taken, nearness, *parts)
     ]
     light = mean_light(Near(**near), links, replicates, groups, diagonal)
     return {name: array[..., first:last] for name, array in light.items()}
@@ -159,9 +187,10 @@ def mean_light(points, links, replicates, groups, diagonal):
     # Where no ray meets anything nothing is near: as if one had gone across the scene, and not as if all had ended at once.
     reach = REACH * np.sqrt(np.sqrt(ratio(64.0, rays))) * diagonal * ratio(rays, np.maximum(nearness, 1.0))
     filter = Filter(points, reach, links)
-    direct, found, reflected = (_mean(replicates, name) for name in PARTS)
+    direct, found, reflected = (mean_of(replicates, name) for name in PARTS)
     changes = [_change(filter, light) for light in (found, reflected)]
-    trust, variance, blurred = _trust(filter, replicates, direct, found + reflected, changes[0] + changes[1], groups)
+    trust, variance, blurred = _trust(filter, replicates, found + reflected, changes[0] + changes[1], groups)
+    variance += direct_variance(replicates, direct, groups)
     for light, change in zip((found, reflected), changes):
         change *= trust
         light += change
@@ -180,10 +209,20 @@ def _change(filter, light):
     return change
 
 
-def _trust(filter, replicates, direct, indirect, moved, groups):
+def direct_variance(replicates, direct, groups):
+    """(C, N) variance of direct (G C, N), the mean of all replicates, by how they scatter; 0 where fewer than two tell."""
+    others = sum((r.taken & (r.test_rays > 0)).astype(np.int32) for r in replicates) - 1
+    off = np.zeros((len(direct) // groups, direct.shape[1]))
+    for r in replicates:
+        if r.test_rays:
+            off += r.test_weight * _together(r.direct - direct, groups) ** 2
+    return off * ratio(1.0, np.maximum(others, 0) * sum(r.test_weight for r in replicates))
+
+
+def _trust(filter, replicates, indirect, moved, groups):
     """How far the filter is to be trusted at each point, (N,) 0..1: so that the error of what is filtered so far is
-    least; with it the variance (C, N) of the light, and (N,) the square of what the filter does to the light itself.
-    direct, indirect: (G C, N) means of all replicates; moved: what the filter does to the latter.
+    least; with it the variance (C, N) of what rays bring, and (N,) the square of what the filter does to the light itself.
+    indirect: (G C, N) mean of all replicates; moved: what the filter does to it.
 
     With V the variance of the mean of all replicates, V' of what is filtered of it and K what they have in common, and
     b what the filter does to the light itself, the error of a filtered share a is (1 - a)^2 V + 2 a (1 - a) K +
@@ -213,7 +252,6 @@ def _trust(filter, replicates, direct, indirect, moved, groups):
             own = _change(filter, raw)
             sums += weight * own
         gain -= weight * np.einsum("cp,cp->p", raw, own)
-        raw += _together(r.direct - direct, groups)
         both += weight * raw * own
         off += weight * raw * raw
         change += weight * own * own
@@ -254,11 +292,11 @@ def _finer(replicates, others, whole):
     return ratio(others * mean, sum(v * r.weight for v, r in zip(variance, replicates)) - mean)
 
 
-def _mean(replicates, name):
+def mean_of(replicates, name):
     """(G C, N) a part of the light, the mean of all replicates."""
     total, whole = np.zeros(getattr(replicates[0], name).shape), 0.0
     for r in replicates:
-        weight = r.weight
+        weight = r.test_weight if name == "direct" else r.weight
         total += weight * getattr(r, name)
         whole = whole + weight
     return np.divide(total, whole, out=total, where=whole > 0)

@@ -33,7 +33,7 @@ from .saving import written_whole
 from .settings import Settings
 from .transport import Round, Solution
 
-FORMAT = 8  # of the file; higher when samples of the same seed become others
+FORMAT = 9  # of the file; higher when samples of the same seed become others
 ANEW = "name another state file to bake it anew"
 DAMAGED = f"it is not a state file, or is damaged: {ANEW}"
 
@@ -357,7 +357,7 @@ def _unpacked(arrays, told):
     if "closest" in arrays:
         count = len({name.split(".")[1] for name in arrays if name.startswith("replicate.")})
         replicates = [from_arrays(Replicate, f"replicate.{k}", arrays) for k in range(count)]
-        replicates = [replace(r, rays=int(r.rays)) for r in replicates]
+        replicates = [replace(r, rays=int(r.rays), test_rays=int(r.test_rays)) for r in replicates]
         found["gathered"] = Gathered(replicates, arrays["closest"], arrays["links"])
     if "control.ids" in arrays:
         traced = from_arrays(Traced, "control", arrays)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from math import inf
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,11 +13,14 @@ from cell_radiosity.core import control, prices
 from cell_radiosity.core.accuracy import (
     AIM,
     AIM_EACH,
+    FEWEST_TESTED,
+    TESTED,
     Estimate,
     estimate_error,
     mean_product,
     noise_after,
     rays_by_object,
+    rays_tested,
     rays_wanted,
 )
 from cell_radiosity.core.bake import price, through
@@ -176,6 +180,32 @@ def test_test_rays_are_foretold_once_for_a_replicate_of_many_rays():
     assert 2 * fixed + 16 * each == pytest.approx(2.0)
     assert 0.6 < fixed < 0.8
     assert replicate_seconds(replace(pilot, parts={"gather": 10.0})) == (0.0, 0.125)
+
+
+def test_test_rays_are_as_many_as_the_noise_of_direct_light_calls_for():
+    """None where it is little of what is allowed, all where it is much, between them as many as bring it there; a price has
+    none of those that are not cast."""
+    allowed = TESTED * 1e-4
+    assert rays_tested(0.9 * allowed, 16, 1e-4, 100) == 0
+    assert rays_tested(3 * allowed, 16, 1e-4, 100) == 32
+    assert rays_tested(1.3 * allowed, 16, 1e-4, 100) == FEWEST_TESTED
+    assert rays_tested(90 * allowed, 16, 1e-4, 100) == 100
+    assert rays_tested(0.01, 16, inf, 100) == 0
+    seconds = {"survey": 4.0, "patches": 0.5, "transport": 1.5, "replicates": 2.0, "rays": 16.0}
+    pilot = piloted(seconds=seconds, parts={"gather": 10.0, "sources": 8.0})
+    (tested,), (spared,) = (price_list(replace(pilot, direct=direct), (0.01,)) for direct in (0.01, 0.0))
+    assert tested.rays == spared.rays
+    assert tested.seconds - spared.seconds == pytest.approx(AGAIN * replicate_seconds(pilot)[0])
+
+
+def test_direct_light_that_has_no_noise_is_tested_no_more():
+    """A room lit by a panel far from anything that could hide it: after the pilot a bake has no test ray more."""
+    course = Course(furnished(), Settings.for_error(0.01), LocalCells())
+    run(through(course))
+    pilots, later = course.gathering.gathered.replicates[:2], course.gathering.gathered.replicates[2:]
+    assert later
+    assert all(r.test_rays == r.rays for r in pilots)
+    assert all(r.test_rays < r.rays / 2 and (r.test_rays > 0) == bool(r.direct.any()) for r in later)
 
 
 def timed(seconds, monkeypatch):

@@ -128,7 +128,7 @@ def test_what_the_filter_does_to_the_light_itself_is_seen_beside_noise(rays):
     random, whole = np.random.default_rng(3), np.ones(side * side, bool)
     zero = np.zeros((1, side * side), np.float32)
     replicates = [
-        Replicate(n, whole, whole, zero, zero, (truth + random.normal(0, n**-0.75, (1, side * side))), plain + 1)
+        Replicate(n, n, whole, whole, zero, zero, (truth + random.normal(0, n**-0.75, (1, side * side))), plain + 1)
         for n in rays
     ]
     nothing = Light(zero, zero, zero, plain, ~whole)

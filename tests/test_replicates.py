@@ -10,7 +10,7 @@ from cell_radiosity.core import gather
 from cell_radiosity.core import replicates as module
 from cell_radiosity.core.bake import bake, run
 from cell_radiosity.core.cells import LocalCells, make_cells
-from cell_radiosity.core.replicates import Replicate, around, mean_light
+from cell_radiosity.core.replicates import Near, Replicate, around, mean_light
 from cell_radiosity.core.settings import Settings
 
 from scenes import Lamp, Material, box, join_meshes, sheet
@@ -78,9 +78,29 @@ def test_dark_replicates_have_no_light_and_no_noise():
     points = run(bake(room(3), replace(SETTINGS, gather_rays=8), LocalCells())).points
     count = len(points)
     dark, all_of_them = np.zeros((3, count), np.float32), np.ones(count, bool)
-    one = Replicate(8, all_of_them, all_of_them, dark, dark, dark, np.ones(count, np.float32))
+    one = Replicate(8, 8, all_of_them, all_of_them, dark, dark, dark, np.ones(count, np.float32))
     light = mean_light(points, np.ones(len(points.neighbor), bool), [one, one], 1, 1.0)
     assert all(not array.any() for array in light.values())
+
+
+def test_direct_light_counts_by_its_own_test_rays(rng):
+    """Its mean, and what its scatter says of the noise, are those of the replicates that have test rays, by their number."""
+    count, tests = 20_000, (8, 8, 40, 0)
+    place, nobody = np.zeros((count, 3)), np.zeros(0, np.int32)
+    points = Near(place, place + (0.0, 0.0, 1.0), np.zeros(count + 1, np.int32), nobody)
+    every, dark = np.ones(count, bool), np.zeros((3, count), np.float32)
+    direct = [(1.0 + rng.normal(0, n**-0.625, (3, count))).astype(np.float32) if n else dark for n in tests]
+    replicates = [
+        Replicate(400 if n != 8 else 8, n, every, every, d, dark, dark, np.ones(count, np.float32))
+        for n, d in zip(tests, direct)
+    ]
+    light = mean_light(points, np.zeros(0, bool), replicates, 1, 1.0)
+    mean = np.average(direct[:3], axis=0, weights=[n**1.25 for n in tests[:3]])
+    np.testing.assert_allclose(light["direct"], mean, rtol=1e-5)
+    assert light["variance"].mean() == pytest.approx(np.square(light["direct"] - 1.0).mean(), rel=0.05)
+    none = mean_light(points, np.zeros(0, bool), replicates[3:], 1, 1.0)
+    assert not none["direct"].any()
+    assert not none["variance"].any()
 
 
 def test_a_point_whose_rays_all_missed_is_smoothed_like_its_neighbors(rng):
@@ -95,7 +115,7 @@ def test_a_point_whose_rays_all_missed_is_smoothed_like_its_neighbors(rng):
     for _ in range(4):
         hits = rng.binomial(8, 0.3, count).astype(np.float32)
         hits[missed] = 0.0
-        replicates.append(Replicate(8, every, every, dark, dark, np.tile(hits / 2.4, (3, 1)), 4.0 * hits / 8))
+        replicates.append(Replicate(8, 8, every, every, dark, dark, np.tile(hits / 2.4, (3, 1)), 4.0 * hits / 8))
     indirect = mean_light(points, links, replicates, 1, 1.0)["indirect"]
     assert len(missed)
     assert indirect[:, missed].min() > 0.4
