@@ -25,7 +25,7 @@ from cell_radiosity.core.accuracy import (
 )
 from cell_radiosity.core.bake import price, through
 from cell_radiosity.core.cells import LocalCells
-from cell_radiosity.core.choices import MOST_CONTROL_RAYS, STEP, UNSURE, more_control
+from cell_radiosity.core.choices import CONTROL_COST, MOST_CONTROL_RAYS, STEP, UNSURE, more_control
 from cell_radiosity.core.control import draw_control
 from cell_radiosity.core.course import Course
 from cell_radiosity.core.effects import Survey
@@ -312,6 +312,13 @@ def test_control_rays_are_as_many_as_its_doubt_calls_for():
     before = found(2.0).doubt * 64**0.25
     assert more_control(found(1.8), settings, 128, before, 0) == 0
     assert more_control(found(1.3), settings, 128, before, 0) == STEP * 128
+    # Above the error by what may be chance, a bake that would end there goes on although they did not help; not if more rays
+    # are to come, if it is above for certain, or below.
+    high = replace(found(5.0), total=0.012)
+    before = found(1.0).doubt
+    assert more_control(high, settings, 128, before, 0) == 128
+    for other, wanted in ((high, 2 * CONTROL_COST), (replace(high, total=0.04), 0), (replace(high, total=0.0099), 0)):
+        assert more_control(other, settings, 128, before, wanted) == 0
 
 
 def behind_a_door():
