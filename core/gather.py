@@ -299,7 +299,7 @@ class Shooter:
 
     def __init__(self, kernel, points, rays, seed):
         self._kernel, self._points, self._rays, self._seed = kernel, points, rays, seed
-        self._tables = direction_tables(rays, seed)
+        self._tables = kernel.once(direction_tables, rays, seed)
         self._guided = max(int(GUIDED_SHARE * rays), 1) if kernel.guide else 0
         self.each = rays + self._guided
 

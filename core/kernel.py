@@ -59,6 +59,7 @@ class Kernel:
     def __init__(self, arrays):
         self.arrays = dict(arrays)
         self.tasks, self.peak = 0, 0.0  # done, and memory [MB] at the last look
+        self._last = {}
 
     @cached_property
     def caster(self):
@@ -207,6 +208,8 @@ class Kernel:
     def renewed(self, arrays):
         """A kernel with some arrays replaced; what was built from the others is kept."""
         kernel = Kernel({**self.arrays, **arrays})
+        # A look at the memory at every renewal would be a hundredth of a small bake.
+        kernel.tasks, kernel.peak, kernel._last = self.tasks, self.peak, self._last
         built = {
             "caster": "scene.", "patches": "patches.", "sizes": "patches.", "element_corners": "patches.",
             "_split": "sources.", "guide": "guide.", "_given": ("patches.", "sources."),
@@ -215,6 +218,13 @@ class Kernel:
             if name in self.__dict__ and not any(key.startswith(prefix) for key in arrays):
                 kernel.__dict__[name] = self.__dict__[name]
         return kernel
+
+    def once(self, function, *arguments):
+        """What a pure function gives, which is not asked again as long as the arguments are those of the last time: all tasks
+        of a replicate want the same tables, of which each is half a millisecond's work."""
+        if self._last.get(function, (None,))[0] != arguments:
+            self._last[function] = arguments, function(*arguments)
+        return self._last[function][1]
 
     def spent(self):
         """What `RayCaster.spent` says."""
