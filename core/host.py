@@ -56,11 +56,10 @@ def solve(patches, surfaces, sky, cells, settings, survey=None, known=None, writ
     if known is not None:
         state.guide, state.guided = known.guide, known.guided
     taken, in_flight, rounds, sweeps, shots = np.zeros(count, bool), deque(), [], 0, 0
-    settled = False
+    settled, (inside, outside) = False, state.missing()
     try:
         while not settled:
             # Fill the pipeline with the brightest sides that have no row yet.
-            inside, outside = state.missing()
             while (
                 len(in_flight) < LAG
                 and outside > target / 2
