@@ -11,11 +11,11 @@ from __future__ import annotations
 import numpy as np
 
 from .guide import GUIDED, Aim
-from .lights import patch_irradiance
+from .lights import FLAT, SKY, SUN, patch_irradiance, unoccluded
 from .patches import draw_on_patches
 from .polygons import polygon_factor
 from .sampling import R4, fraction, hemisphere, lattice4, scatter, tangents
-from .vectors import dot, length, ratio, runs
+from .vectors import by_coordinate, dot, length, ratio, runs
 
 ROW, DIRECT, SHADOW, CROWD = 1, 2, 5, 0  # salts: the samples of rows and of direct light have nothing in common
 UNEVEN = 8  # times as many places on patches near a source, or on the rim of its beam
@@ -168,9 +168,9 @@ def light_patches(kernel, sides, samples, seed):
     """{"direct": (C, K)} mean irradiance [W/m^2] that the sources give patch sides (K,), from `samples` places each, and
     UNEVEN times as many where they do not all get the same, for a source is near or its beam ends there; and which of them
     a source lights in part: "partly" (E,), with the other fields "source", "mean" and "whole" of the Edges."""
-    direct = np.empty((kernel.sources.strength.shape[1], len(sides)))
-    uneven, number = np.zeros(len(sides), bool), np.arange(len(sides))
-    edges = np.empty(len(sides), np.int16), np.empty(len(sides)), np.empty(len(sides))
+    direct = np.zeros((kernel.sources.strength.shape[1], len(sides)))
+    uneven, turned = np.zeros(len(sides), bool), _turned(kernel, sides)
+    edges = np.full(len(sides), -1, np.int16), np.zeros(len(sides)), np.zeros(len(sides))
 
     def light(chosen, samples):
         found, uneven[chosen], edge = _light(kernel, sides[chosen], samples, seed)
@@ -178,8 +178,8 @@ def light_patches(kernel, sides, samples, seed):
         for values, new in zip(edges, edge):
             values[chosen] = new
 
-    for part in runs(len(sides), samples):
-        light(number[part], samples)
+    for part in runs(len(turned), samples):
+        light(turned[part], samples)
     again = np.flatnonzero(uneven)
     for part in runs(len(again), UNEVEN * samples):
         light(again[part], UNEVEN * samples)
@@ -192,6 +192,24 @@ def light_patches(kernel, sides, samples, seed):
         "partly": sides[there],
         **dict(zip(("source", "mean", "whole"), (e[there] for e in edges))),
     }
+
+
+def _turned(kernel, sides):
+    """Those of patch sides (K,), as numbers from 0 to K - 1, that are turned to one of the sources. To tell takes a tenth of
+    the time of places on them, and two sides in five of a bake are turned away from all; of patches that are not all in one
+    plane nobody knows."""
+    patches, sources, own = kernel.patches, kernel.sources, sides >> 1
+    normal = by_coordinate(np.take(patches.normal, own, axis=0) * np.where(sides & 1, -1.0, 1.0)[:, None])
+    centroid = by_coordinate(np.take(patches.centroid, own, axis=0))
+    turned = np.diff(patches.element_start)[own] > 1
+    for s in range(len(sources)):
+        if sources.kind[s] in (SUN, SKY):
+            turned |= unoccluded(sources, s, centroid, normal) > 0
+            continue
+        corners = sources.polygon(s) if sources.kind[s] == FLAT else sources.position[s : s + 1]
+        for corner in corners:
+            turned |= dot(corner - centroid, normal) > -sources.radius[s]
+    return np.flatnonzero(turned)
 
 
 def _light(kernel, sides, samples, seed):

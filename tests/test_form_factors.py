@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from cell_radiosity.core import rows
+from cell_radiosity.core.cells import LocalCells
 from cell_radiosity.core.kernel import scene_arrays
 from cell_radiosity.core.lights import BALL, Sources, from_one_test, make_sources, unoccluded
 from cell_radiosity.core.lights import test_rays as rays_toward
@@ -13,7 +15,7 @@ from cell_radiosity.core.polygons import angle, polygon_factor
 from cell_radiosity.core.raycast import RayCaster
 from cell_radiosity.core.sampling import lattice
 
-from scenes import Mesh, join_meshes
+from scenes import Lamp, Mesh, box, join_meshes
 
 SQUARE = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], float)
 RAYS = 1 << 14
@@ -265,3 +267,23 @@ def test_small_polygon_far_away(away, rng):
     expected = (way * normal).sum(axis=1) * np.abs(way[:, 2]) / (np.pi * away**2)
     clear = np.abs(way[:, 2]) > 0.1
     np.testing.assert_allclose(found[clear], expected[clear], rtol=1e-6 + 1e-14 * away)
+
+
+@pytest.mark.parametrize("lamp", [
+    Lamp("sun", (1.0,) * 3, axes=((1, 0, 0), (0, 0.8, -0.6), (0, 0.6, 0.8)), angle=0.3),
+    Lamp("point", (1.0,) * 3, (0.5, 0.5, 0.6), radius=0.2),
+    Lamp("area", (1.0,) * 3, (0.5, 0.5, 0.35), size=(0.3, 0.4)),
+])  # fmt: skip
+def test_patches_that_are_turned_away_from_all_sources_get_nothing(lamp, monkeypatch):
+    """They are left out before there are any places on them; with all of them looked at it is the same, bit for bit."""
+    scene = join_meshes([box(n=2), box("block", (0.3, 0.3, 0.2), (0.6, 0.7, 0.5), 2, False)], lamps=[lamp])
+    cells, patches = LocalCells(), make_patches(scene, 0.3)
+    cells.start(scene_arrays(scene, patches, make_sources(scene)[0]))
+    asked = dict(sides=np.arange(2 * len(patches)), samples=4, seed=0)
+    looked_at, turned = [], rows._turned
+    monkeypatch.setattr(rows, "_turned", lambda kernel, sides: looked_at.append(turned(kernel, sides)) or looked_at[-1])
+    (some,) = cells.take([cells.submit("direct", **asked)])
+    monkeypatch.setattr(rows, "_turned", lambda kernel, sides: np.arange(len(sides)))
+    (every,) = cells.take([cells.submit("direct", **asked)])
+    assert 0 < len(looked_at[0]) < 0.8 * len(asked["sides"])
+    assert all(np.array_equal(some[name], every[name]) for name in every)
