@@ -241,7 +241,7 @@ def _outlier(look, normal, offset, vertices, triangle, sign):
 
 def _interreflection(look):
     """How often light can bounce before what is left is below the error asked for."""
-    most = float(look.materials.returned[np.unique(look.material)].max(initial=0.0)) if len(look.material) else 0.0
+    most = float(look.materials.returned[look.used].max(initial=0.0))
     asked = f"at the {100 * look.settings.error:g} % asked for"
     if not look.meets:
         what = "met a face" if not look.met else "met a face that reflects"
@@ -253,20 +253,16 @@ def _interreflection(look):
     while left > look.tolerance and bounces < 100_000:
         left *= most
         bounces += 1
-    brightest = look.scene.materials[int(np.argmax(np.where(_used(look), look.materials.returned, -1)))].name
+    brightest = look.scene.materials[look.used[np.argmax(look.materials.returned[look.used])]].name
     bounces = f"{bounces - 1} bounces" if bounces > 2 else "1 bounce"
     return Effect(
         "interreflection", True, f"{brightest} reflects {100 * most:.3g} %: up to {bounces} can matter {asked}"
     )
 
 
-def _used(look):
-    return np.isin(np.arange(len(look.scene.materials)), look.material)
-
-
 def _color(look):
     """Whether channels can differ: by how much colored reflectances and lights can tint the result."""
-    scene, used = look.scene, np.unique(look.material)
+    scene, used = look.scene, look.used
     shades = [(f"the material {scene.materials[m].name}", look.materials.tint[m]) for m in used]
     lights = [(f"the lamp {lamp.name}", tint(lamp.strength)) for lamp in look.lamps]
     lights += [(f"the emission of {scene.materials[m].name}", tint(scene.materials[m].exitance)) for m in used]
@@ -328,7 +324,7 @@ def _textures(look):
     scene = look.scene
     spread = {
         scene.materials[m].name: _unevenness(scene.textures[scene.materials[m].texture])
-        for m in np.unique(look.material)
+        for m in look.used
         if scene.materials[m].texture is not None
     }
     if scene.readings is not None and len(scene.readings.triangle):
@@ -351,7 +347,7 @@ def _unevenness(texture):
 def _transparency(look):
     """Whether rays may pass a surface."""
     scene = look.scene
-    names = [scene.materials[m].name for m in np.unique(look.material) if scene.materials[m].transparent]
+    names = [scene.materials[m].name for m in look.used if scene.materials[m].transparent]
     if not names:
         return Effect("transparency", False, "every surface is opaque")
     faces = int(np.isin([m.name for m in scene.materials], names)[scene.polygon_material].sum())

@@ -50,6 +50,7 @@ class Evidence:
         self.usable = np.flatnonzero(scene.usable)
         self.materials = _Materials(scene)
         self.material = scene.polygon_material[scene.triangle_polygon[self.usable]]
+        self.used = np.flatnonzero(np.bincount(self.material, minlength=len(scene.materials)))  # materials, in order
         self.lamps = [lamp for lamp in scene.lamps if max(lamp.strength) > 0]
         self.shadowless = [lamp for lamp in self.lamps if not lamp.shadows]
         self.emitting = emitting_polygons(scene)
@@ -193,7 +194,7 @@ class Evidence:
 
     def indirect(self):
         """Share of the light that is reflected. It is looked at only where sun or sky shine: elsewhere it is much of it."""
-        scene, used = self.scene, np.unique(self.material)
+        scene, used = self.scene, self.used
         outdoors = self.sky or any(lamp.kind == "sun" for lamp in self.lamps)
         unclear = self.materials.thin[used].any() or (scene.readings is not None and len(scene.readings.triangle))
         if not outdoors or unclear:

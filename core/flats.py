@@ -59,7 +59,11 @@ def emitting_flats(scene):
     exitance = np.array([m.exitance for m in scene.materials], float).reshape(-1, 3)
     exitance *= np.array([m.alpha for m in scene.materials], float).reshape(-1, 1)
     even = np.array([m.alpha_texture is None for m in scene.materials], bool)
-    glows = ((exitance > 0).any(axis=1) & even)[scene.polygon_material] & ~_read(scene) & ~folded_polygons(scene)
+    glows = ((exitance > 0).any(axis=1) & even)[scene.polygon_material] & ~_read(scene)
+    if not glows.any():  # to look at all polygons all the same would be a fiftieth of a small bake
+        nothing = Flats(np.zeros((0, 3)), np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0, np.int64))
+        return nothing, np.zeros(len(glows), bool)
+    glows &= ~folded_polygons(scene)
     triangle = np.flatnonzero(scene.usable & glows[scene.triangle_polygon])
     owner, size = scene.triangle_polygon[triangle], scene.triangle_normal_area[1][triangle]
     area = np.bincount(owner, size, len(glows))

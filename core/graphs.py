@@ -23,7 +23,7 @@ def components(first, second, count):
             if np.array_equal(shorter, root):
                 break
             root = shorter
-    return np.unique(root, return_inverse=True)[1].reshape(-1)
+    return (np.cumsum(root == np.arange(count)) - 1)[root]  # a root is the first node of its part
 
 
 def linked(owner, key):

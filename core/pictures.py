@@ -26,7 +26,9 @@ def near_pictures(scene, sampled, edge, cells):
     a surface, this sees the light of each part by itself. sampled: (P,) bool, those whose light is even. cells: started with
     the arrays that rays need."""
     longest = np.ones(len(scene.polygon_material))
-    uneven = np.setdiff1d(emitting_polygons(scene), np.flatnonzero(sampled))
+    uneven = _left_out(scene, sampled)
+    if not len(uneven):
+        return longest
     triangle = np.flatnonzero(scene.usable & np.isin(scene.triangle_polygon, uneven))
     if not 0 < LEAST_RAYS * len(triangle) <= RAYS:  # of more triangles, each is small
         return longest
@@ -44,10 +46,19 @@ def near_pictures(scene, sampled, edge, cells):
     return np.maximum(longest, FINEST)
 
 
+def _left_out(scene, sampled):
+    """(K,) emitting polygons that are not among those for which sources stand, sampled: (P,) bool."""
+    emitting = emitting_polygons(scene)
+    return emitting[~sampled[emitting]]
+
+
 def add_pictures(scene, patches, sources, sampled):
     """Sources and the polygons (P,) bool that they stand for, with those of the faces whose light `make_sources` leaves
     out because it is not even, unless these are too many: then rays find them."""
-    uneven = np.setdiff1d(emitting_polygons(scene), np.flatnonzero(sampled | folded_polygons(scene)))
+    uneven = _left_out(scene, sampled)
+    if not len(uneven):
+        return sources, sampled
+    uneven = uneven[~folded_polygons(scene)[uneven]]
     own = np.isin(patches.polygon, uneven)
     if not own.any():
         return sources, sampled

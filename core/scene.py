@@ -267,7 +267,8 @@ class Scene:
         if not len(used):
             return np.zeros((2, 3))
         cut = int(OUTERMOST * len(used))
-        return np.sort(used, axis=0)[[cut, len(used) - 1 - cut]]
+        ends = [cut, len(used) - 1 - cut]
+        return np.partition(used, ends, axis=0)[ends]
 
     @cached_property
     def focus(self):
