@@ -73,7 +73,7 @@ def floor(points):
 def found(kernel, points, ids, rays, seeds):
     """(R, K) light of the panels in the first channel, by independent replicates."""
     own = block_arrays(points, ids)
-    each = [gather_points(kernel, rays, 1, SEEDS * k, 0, **own)["found"][0] for k in range(seeds)]
+    each = [gather_points(kernel, rays, rays, 1, SEEDS * k, 0, **own)["found"][0] for k in range(seeds)]
     return np.stack(each).astype(float)
 
 
@@ -97,8 +97,8 @@ def test_light_is_what_the_closed_form_says_with_a_tenth_of_the_variance(lit):
 def test_what_a_point_gets_does_not_depend_on_the_others_of_its_task(lit):
     kernel, points, *_ = lit
     ids = np.arange(len(points), dtype=np.int32)
-    whole = gather_points(kernel, 8, 1, 0, 1, **block_arrays(points, ids))
-    parts = [gather_points(kernel, 8, 1, 0, 1, **block_arrays(points, part)) for part in np.array_split(ids, 7)]
+    whole = gather_points(kernel, 8, 8, 1, 0, 1, **block_arrays(points, ids))
+    parts = [gather_points(kernel, 8, 8, 1, 0, 1, **block_arrays(points, part)) for part in np.array_split(ids, 7)]
     for name in whole:
         assert np.array_equal(whole[name], np.concatenate([part[name] for part in parts], axis=-1))
 
