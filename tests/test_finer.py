@@ -134,3 +134,13 @@ def test_patches_stay_where_they_were_asked_for_or_would_not_help(asked):
     """Rays or patches set by hand, a time, and an error that is reached."""
     settings = replace(Settings.for_error(ERROR), **asked)
     assert run(bake(furnished(), settings, LocalCells())).settings.patch_edge == settings.patch_edge
+
+
+@pytest.mark.parametrize(("polygons", "times"), [(6, 2.25), (5, 1.5)])
+def test_finer_patches_are_more_patches(polygons, times):
+    """A room of 216 quads, about as long as patches: a third shorter, they would be the same 216. Of 150 quads they are
+    four times as many."""
+    course = core_course.Course(furnished(polygons), Settings.for_error(0.02), LocalCells())
+    course.settings = replace(course.settings, patch_edge=1 / 8)
+    course.refine()
+    assert course.settings.patch_edge == pytest.approx(1 / 8 / times)
