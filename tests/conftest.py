@@ -5,6 +5,7 @@ from __future__ import annotations
 import atexit
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -18,6 +19,12 @@ from cell_radiosity.core.cells import make_cells
 import real_blender
 
 EXIT = pytest.StashKey()  # the exit code of the tests
+
+
+def pytest_configure():
+    """Ctrl-C ends the programs that tests start, also where a shell has started the tests in the background, deaf to it."""
+    if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.hookimpl(trylast=True)

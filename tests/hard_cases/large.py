@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from cases import case, gray, nearest, of, off, total
 
@@ -57,11 +59,8 @@ def a_million_tiny_triangles_under_a_sky(bake):
 def blocks(n):
     """A floor with n x n blocks of 12 triangles, each an object, under a sky."""
     floor = sheet("floor", [(0, 0, 0), (n, 0, 0), (n, n, 0), (0, n, 0)], 4, 4)
-    many = [
-        box(f"block {x} {y}", (x + 0.2, y + 0.2, 0), (x + 0.8, y + 0.8, 0.5), 1, False)
-        for y in range(n)
-        for x in range(n)
-    ]
+    one = box("block", (0.2, 0.2, 0), (0.8, 0.8, 0.5), 1, False)
+    many = [replace(one, name=f"block {x} {y}", vertices=one.vertices + (x, y, 0)) for y in range(n) for x in range(n)]
     return join_meshes([floor, *many], [gray(0.5)], world=World(SKY))
 
 

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import faulthandler
+import multiprocessing
+import os
 import warnings
+from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 import pytest
@@ -17,7 +20,8 @@ from scenes import bake, run
 
 EACH = 50  # scenes of a test
 QUICK = 50  # scenes that are not among the heavy ones
-HANG = 600  # seconds for a test, after which the run ends and says where it was
+HANG = 600  # seconds for a test, or for a process' share of one, after which it ends and says where it was
+SHARE = 25  # scenes that a process takes at a time
 CROWDED = 100  # crowded scenes of a test
 FOUND = (25, 43, 44, 74, 121, 137, 176, 439, 612, 1023, 1039, 1084)  # scenes that once came to grief
 
@@ -42,11 +46,29 @@ def baked_well(scene, settings, group_of=None):
     assert written.all()
 
 
+def bake_share(seeds):
+    """What a process does: bake scenes one after the other. A scene that fails is named."""
+    faulthandler.dump_traceback_later(HANG, exit=True)
+    for seed in seeds:
+        try:
+            bake_random(seed)
+        except Exception as error:
+            raise AssertionError(f"scene {seed}: {type(error).__name__}: {error}") from error
+    faulthandler.cancel_dump_traceback_later()
+
+
 @pytest.fixture(autouse=True)
 def watched():
     faulthandler.dump_traceback_later(HANG, exit=True)
     yield
     faulthandler.cancel_dump_traceback_later()
+
+
+@pytest.fixture(scope="module")
+def processes():
+    """As many processes as there are cores: thousands of scenes, each in one of them, from start to end."""
+    with ProcessPoolExecutor(os.cpu_count(), multiprocessing.get_context("spawn")) as made:
+        yield made
 
 
 @pytest.mark.parametrize(
@@ -64,9 +86,10 @@ def test_random_scene_that_failed_once(seed):
 
 @pytest.mark.heavy
 @pytest.mark.parametrize("first", range(1000, 10_500, 500))
-def test_many_random_scenes(first):
-    for seed in range(first, first + 500):
-        bake_random(seed)
+def test_many_random_scenes(first, processes):
+    shares = [range(n, n + SHARE) for n in range(first, first + 500, SHARE)]
+    assert sum(map(len, shares)) == 500
+    list(processes.map(bake_share, shares))
 
 
 @pytest.mark.parametrize(
