@@ -74,7 +74,7 @@ def read_reflected(kernel, hit, ids, normal, size, seed, anew=None):
     light, source = read_light(kernel.arrays["gather.reflected"], hit.side), kernel.arrays["edges.source"]
     chosen = _going_on(kernel, hit, normal, size)
     if len(chosen):
-        samples = None if anew is not None else ray_samples(ids, each, GO_ON + 8 * seed)[:, chosen]
+        samples = None if anew is not None else ray_samples(ids, each, chosen, GO_ON + 8 * seed)
         light[:, chosen] = anew[:, chosen] if anew is not None else reflect_anew(kernel, hit, chosen, samples)
     if not len(source):
         return light
@@ -100,18 +100,20 @@ def read_reflected(kernel, hit, ids, normal, size, seed, anew=None):
 def _going_on(kernel, hit, normal, size=None):
     """(K,) numbers of the Hits of n rays each, from places with normals (P, 3), whose rays go on: those across a gap, and, if
     the places are of a mesh, of so fine a one; size: (P,) square root of the area that each stands for [m]. See CLOSE."""
-    fine, gaps = kernel.arrays["gather.close"] and size is not None, kernel.arrays["gather.gaps"]
-    if not ((fine or gaps) and kernel.occluded and len(normal)):
+    close, fine = kernel.arrays["gather.close"] * (CLOSE, FINE) if size is not None else (0.0, 0.0)
+    gaps = kernel.arrays["gather.gaps"]
+    if not ((close or gaps) and kernel.occluded and len(normal)):
         return np.zeros(0, np.int64)
     # Whatever a ray that escapes reads here, it has no end.
-    near = np.flatnonzero(hit.distance < CLOSE * np.take(kernel.sizes, hit.side >> 1, mode="wrap"))
+    reach = CLOSE if gaps else close
+    near = np.flatnonzero(hit.distance < reach * np.take(kernel.sizes, hit.side >> 1, mode="wrap"))
     side, place = hit.side[near], near // (len(hit.side) // len(normal))
-    own = np.zeros(len(near), bool)
+    own, length = np.zeros(len(near), bool), kernel.sizes[side >> 1]
     if gaps:
         facing = dot(kernel.patches.normal[side >> 1], normal[place])
         own = np.where(side & 1, facing, -facing) > ACROSS
-    if fine:
-        own |= size[place] * kernel.caster.frame[1] < FINE * kernel.sizes[side >> 1]
+    if close:
+        own |= (hit.distance[near] < close * length) & (size[place] * kernel.caster.frame[1] < fine * length)
     return near[own]
 
 

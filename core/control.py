@@ -149,7 +149,7 @@ def control_points(kernel, rays, seed, **points):
         counts = (hit.side >= 0) & (weight.reshape(-1) > 0)
         emitted = read_light(found, hit.side)
         deeper = np.zeros((len(truth), len(counts)))
-        samples = ray_samples(points.ids[part], shooter.each, CONTROL + 8 * seed)[:, counts]
+        samples = ray_samples(points.ids[part], shooter.each, np.flatnonzero(counts), CONTROL + 8 * seed)
         deeper[:, counts] = reflect_anew(kernel, hit, np.flatnonzero(counts), samples)
         place = points.ids[part], points.geometric[part], points.size[part]
         flat = np.where(counts, read_reflected(kernel, hit, *place, seed, deeper), 0.0)

@@ -219,10 +219,10 @@ class Gathering:
         return light
 
 
-def light_arrays(points, solution, surfaces, sky, side, close=False, gaps=False):
+def light_arrays(points, solution, surfaces, sky, side, close=(0.0, 0.0), gaps=False):
     """The arrays that cells need to gather at points, as {name: array}. sky: (C, M) exitance of the
-    world, of each cell of its map [W/m^2]. side: (P,) the patch side that each point lies on. close: whether near hits of
-    fine meshes go on; gaps: and those across narrow gaps, see `anew`."""
+    world, of each cell of its map [W/m^2]. side: (P,) the patch side that each point lies on. close: how near hits of
+    fine meshes go on, and how fine these are, see `choices.goes_on`; gaps: whether those across narrow gaps do, see `anew`."""
     light = _on_sides(solution.irradiance, side).max(axis=0)
     # What rays bring, with what comes from beyond last: reflected light, and light no sampled source stands for.
     reflected = np.column_stack([solution.reflected, np.zeros_like(sky)])

@@ -58,10 +58,12 @@ def mix(keys, salt):
     return _fraction(z)
 
 
-def ray_samples(ids, rays, salt):
-    """(5, K * rays) samples in [0, 1) for the rays of places ids (K,): the R5 sequence, shifted by place."""
+def ray_samples(ids, rays, chosen, salt):
+    """(5, C) samples in [0, 1) for chosen ones (C,) of all rays, `rays` of each of places ids (K,): the R5 sequence, shifted by
+    place."""
     shift = scatter(5 * ids.astype(np.int64)[:, None] + np.arange(5), salt)
-    return fraction(shift.T[:, :, None] + R5[:, None, None] * np.arange(rays)).reshape(5, -1)
+    place, number = np.divmod(chosen, rays)
+    return fraction(np.take(shift.T, place, axis=1) + R5[:, None] * number)
 
 
 def _step(count):

@@ -33,7 +33,7 @@ def half_lit(count=1, angle=0.0):
 
 
 def settings(**others):
-    return Settings(**{"error": 0.01, "patch_edge": None, "gather_rays": 512, "patch_samples": 64, **others})
+    return Settings(**{"error": 0.04, "patch_edge": None, "gather_rays": 512, "patch_samples": 64, **others})
 
 
 def error_at_wall(baked):
@@ -84,6 +84,17 @@ def test_deep_in_a_gap_nobody_reads_the_light_of_its_mouth(monkeypatch):
     assert light() == pytest.approx(0.0166, rel=0.15)  # of patches 1.2 cm long
     monkeypatch.setattr(anew, "ACROSS", 2.0)
     assert light() > 0.03
+
+
+def test_the_nearest_hits_of_the_finest_meshes_go_on_below_3_percent(monkeypatch):
+    """The foot of the wall gets what is there, for little time; above it reads the floor's mean."""
+    monkeypatch.setattr(anew, "NEAR", 0.0)
+
+    def error(asked):
+        return error_at_wall(run(bake(half_lit(), settings(error=asked), LocalCells())))
+
+    assert error(0.02) < 0.08
+    assert error(0.04) > 0.2
 
 
 def test_further_away_the_mean_is_read(monkeypatch):

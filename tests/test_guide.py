@@ -55,7 +55,7 @@ def lit():
     guide = Guide(sides, glows[sides] * solved.patches.area[sides >> 1])
     points = make_points(scene, np.zeros(len(scene.polygon_material), bool), cells)
     solution, side = replace(solved.solution, guide=guide), sides_of(points, cells)
-    arrays = light_arrays(points, solution, solved.surfaces, np.zeros((3, 1)), side, close=False)
+    arrays = light_arrays(points, solution, solved.surfaces, np.zeros((3, 1)), side)
     kernel = cells._kernel.renewed(arrays)
     return kernel, points, guide, solved
 

@@ -33,12 +33,22 @@ def test_the_error_asked_for_is_there_and_known(cells, name):
 
 
 @pytest.mark.heavy
-@pytest.mark.parametrize("name", ["hall", "sunlit_room", "cornell_box"])
-def test_hardly_a_vertex_is_off_because_of_where_it_lies(cells, name):
-    """At 0.5 %, vertices on creases, in corners and where things touch included: no more than 0.4 % of all are off by more than
-    5 % of the mean light. Points that are not moved off creases, or that read coarse patches at their feet, are more."""
+@pytest.mark.parametrize(
+    ("name", "error", "most"),
+    [
+        ("hall", 0.005, 0.004),
+        ("sunlit_room", 0.005, 0.004),
+        ("cornell_box", 0.005, 0.004),
+        ("hall", 0.01, 0.012),
+        ("hall", 0.02, 0.05),
+    ],
+)
+def test_hardly_a_vertex_is_off_because_of_where_it_lies(cells, name, error, most):
+    """Vertices on creases, in corners and where things touch included: no more than 0.4 % of all are off by more than 5 % of the
+    mean light at 0.5 %, 1.2 % at 1 %, and 5 % at 2 %. Points that are not moved off creases, or that read coarse patches at their feet, are
+    more."""
     scene, reference = opened(name), reference_of(name)
-    found = run(bake(scene, Settings.for_error(0.005), cells))
+    found = run(bake(scene, Settings.for_error(error), cells))
     scene, colors = found.scene, layer_colors(found, "Lighting")
     corner_object = np.repeat(scene.polygon_object, np.diff(scene.polygon_start))
     off, light = [], []
@@ -51,4 +61,4 @@ def test_hardly_a_vertex_is_off_because_of_where_it_lies(cells, name):
             light.append(reference[f"{object}.A"] * one.mean(axis=1))
     area = sum(reference[key].sum() for key in reference if key.endswith(".A"))
     far = np.concatenate(off) > 0.05 * np.concatenate(light).sum() / area
-    assert far.mean() < 0.004
+    assert far.mean() < most
