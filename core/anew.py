@@ -117,12 +117,12 @@ def _going_on(kernel, hit, normal, size=None):
     return near[own]
 
 
-def reflect_anew(kernel, hit, chosen, x, onward=ONWARD):
+def reflect_anew(kernel, hit, chosen, x, onward=ONWARD, deeper=0):
     """(C, K) light [W/m^2] that the chosen hits (K,) of Hits reflect: of a source picked for each, and of one more ray,
     with a guided one beside it.
 
     x: (5, K) samples in [0, 1): which source, or side that rays are guided to, a place on it, and the direction of the ray.
-    onward: how many times such rays go on across a gap.
+    onward: how many times such rays go on across a gap; deeper: how many times whatever they meet.
     """
     position, normal, start = _places(kernel, hit, chosen)
     arriving = _one_source(kernel, position, normal, start, x[0], x[1], x[2], hit.side[chosen])
@@ -138,10 +138,11 @@ def reflect_anew(kernel, hit, chosen, x, onward=ONWARD):
     else:
         far, weight = kernel.hits(start, direction), np.ones((len(start), 1))
     light = read_light(kernel.arrays["gather.reflected"], far.side)
-    if onward and len(again := _going_on(kernel, far, normal)):
+    again = np.flatnonzero(far.side >= 0) if deeper else _going_on(kernel, far, normal) if onward else ()
+    if len(again):
         place, number = np.divmod(again, weight.shape[1])
         keys = (x[:, place] * 2.0**52).astype(np.int64) + number
-        light[:, again] = reflect_anew(kernel, far, again, scatter(keys, ONCE_MORE), onward - 1)
+        light[:, again] = reflect_anew(kernel, far, again, scatter(keys, ONCE_MORE), onward - 1, max(deeper - 1, 0))
     light += read_light(kernel.arrays["gather.found"], far.side)
     arriving += np.einsum("ckn,kn->ck", light.reshape(len(arriving), *weight.shape), weight)
     own = hit.side[chosen]

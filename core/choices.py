@@ -38,6 +38,7 @@ MOST_CONTROL_RAYS = 1024
 UNSURE = 0.7  # of the square of the noise: a doubt above that asks for more control rays
 UNSURE_ABOVE = 0.15  # the same, where it decides whether the error asked for is reached
 STEP = 0.5  # times as many control rays are worth another look
+DEEPER = 2  # bounces more than one
 CONTROL_COST = 6  # gather rays that a control ray costs: those of both truths, each with a test ray and one more
 
 
@@ -123,6 +124,13 @@ def finer(wanted, settings):
     if wanted.patch_edge is None or settings.patch_edge is None:
         return False
     return wanted.patch_edge < settings.patch_edge or wanted.row_rays > settings.row_rays
+
+
+def bounces_deeper(settings):
+    """By how many bounces more than one the control is deeper than patches that were asked for, if those are longer than
+    usual: what they have got of one another is off too."""
+    usual = Settings.for_error(settings.error, per_object=settings.per_object).patch_edge
+    return DEEPER if settings.patch_edge is None or settings.patch_edge > usual else 0
 
 
 def control_rays(settings, found):

@@ -1,4 +1,4 @@
-"""Control points: a few points of a bake gathered afresh, with far more rays and one bounce deeper, to see its error.
+"""Control points: a few points of a bake gathered afresh, with far more rays and a bounce or more deeper, to see its error.
 
 Owns the drawing of control points and the cells' part of their truth. At a control point every ray goes on: where it
 meets a patch, the patch's own light is not read but sampled anew, by a test ray to a source and one more ray, whose hit
@@ -53,11 +53,11 @@ class Control:
     has two. traced: all that, as Traced.
     """
 
-    def __init__(self, points, ids, weight, cells, settings, groups=1, traced=None):
+    def __init__(self, points, ids, weight, cells, settings, groups=1, traced=None, further=0):
         """points: of all of which ids are some. groups: number of light groups, whose light is put together. traced: to
-        go on from."""
+        go on from. further: how many times more than once its rays go on."""
         self._points, self.ids, self.weight, self._cells = points, ids, weight, cells
-        self._settings, self._groups = settings, groups
+        self._settings, self._groups, self._further = settings, groups, further
         self.traced = traced or Traced()
 
     def trace(self, rays):
@@ -74,6 +74,7 @@ class Control:
             self._cells.submit(
                 "control",
                 rays=rays,
+                further=self._further,
                 seed=self._settings.seed + SEEDS * (APART + seed),
                 **block_arrays(self._points, self.ids[k : k + size], joined=False),
             )
@@ -133,9 +134,9 @@ def draw_control(points, light, count, per_object):
     return ids.astype(np.int32), ratio(points.area[ids] * times, chance)
 
 
-def control_points(kernel, rays, seed, **points):
-    """{"truth", "patches": (C, K)} the light of the K points of a Block by rays that go on, and how much more the same rays
-    bring when they read the patches that they meet [W/m^2]."""
+def control_points(kernel, rays, seed, further, **points):
+    """{"truth", "patches": (C, K)} the light of the K points of a Block by rays that go on, `further` times more than once, and
+    how much more the same rays bring when they read the patches that they meet [W/m^2]."""
     points = Block(**points)
     found = kernel.arrays["gather.found"]
     place = points.ids, points.position, points.normal
@@ -150,7 +151,7 @@ def control_points(kernel, rays, seed, **points):
         emitted = read_light(found, hit.side)
         deeper = np.zeros((len(truth), len(counts)))
         samples = ray_samples(points.ids[part], shooter.each, np.flatnonzero(counts), CONTROL + 8 * seed)
-        deeper[:, counts] = reflect_anew(kernel, hit, np.flatnonzero(counts), samples)
+        deeper[:, counts] = reflect_anew(kernel, hit, np.flatnonzero(counts), samples, deeper=further)
         place = points.ids[part], points.geometric[part], points.size[part]
         flat = np.where(counts, read_reflected(kernel, hit, *place, seed, deeper), 0.0)
         truth[:, part] += weighted_sum(emitted + deeper, weight)

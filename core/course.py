@@ -26,6 +26,7 @@ from .accuracy import (
 from .averages import Averages, places_wanted
 from .budget import cells_within
 from .choices import (
+    bounces_deeper,
     control_count,
     control_rays,
     eased,
@@ -290,7 +291,7 @@ class Course:
             yield from self._smooth()
             drawn = draw_control(self.points, self._light(), count, each)
             traced = Traced(rounds=self._known.traced.rounds) if self._known and self._known.traced else None
-            self.control = Control(self.points, *drawn, self.cells, self.settings, self._group_count, traced)
+            self.control = self._control(drawn, traced)
         yield from self.look()
         self.clock.lap("survey")
 
@@ -308,9 +309,12 @@ class Course:
         if known:
             self.averaged = known.averaged
         if known and known.control is not None and known.each_object >= self.settings.per_object:
-            self.control = Control(
-                self.points, *known.control, self.cells, self.settings, self._group_count, known.traced
-            )
+            self.control = self._control(known.control, known.traced)
+
+    def _control(self, drawn, traced):
+        """The Control at points that were drawn, which goes on from what was traced."""
+        more = self._group_count, traced, bounces_deeper(self._asked)
+        return Control(self.points, *drawn, self.cells, self.settings, *more)
 
     def _gathering(self, points, side, gathered=None):
         """A Gathering at points, (P,) on patch sides."""

@@ -9,10 +9,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from cell_radiosity.core import control, prices
+from cell_radiosity.core import choices, control, prices
 from cell_radiosity.core.accuracy import (
     AIM,
     AIM_EACH,
+    CROWDED,
     FEWEST_TESTED,
     TESTED,
     Estimate,
@@ -25,7 +26,7 @@ from cell_radiosity.core.accuracy import (
 )
 from cell_radiosity.core.bake import price, through
 from cell_radiosity.core.cells import LocalCells
-from cell_radiosity.core.choices import CONTROL_COST, MOST_CONTROL_RAYS, STEP, UNSURE, more_control
+from cell_radiosity.core.choices import CONTROL_COST, MOST_CONTROL_RAYS, STEP, UNSURE, bounces_deeper, more_control
 from cell_radiosity.core.control import draw_control
 from cell_radiosity.core.course import Course
 from cell_radiosity.core.effects import Survey
@@ -319,6 +320,37 @@ def test_control_rays_are_as_many_as_its_doubt_calls_for():
     assert more_control(high, settings, 128, before, 0) == 128
     for other, wanted in ((high, 2 * CONTROL_COST), (replace(high, total=0.04), 0), (replace(high, total=0.0099), 0)):
         assert more_control(other, settings, 128, before, wanted) == 0
+
+
+def test_what_long_patches_have_of_one_another_is_seen(monkeypatch):
+    """Every face of a coarse mesh one patch, by wish: the control is as deep as the error that is in their own light."""
+    blocks = (
+        box(f"block {k}", (x, y, 0), (x + 1, y + 1, z), 2, False)
+        for k, (x, y, z) in enumerate(((1, 1, 1.2), (3, 2.5, 2)))
+    )
+    lamp = Lamp("area", (60.0,) * 3, (2.5, 2.0, 2.9), size=(0.5, 0.5))
+    scene = join_meshes([box("room", (0, 0, 0), (5, 4, 3), 6), *blocks], [Material("white", (0.75,) * 3)], [lamp])
+    fine = run(bake(scene, Settings.for_error(0.005, seed=9, gather_rays=256), LocalCells())).light.total
+
+    def ratio():
+        found = run(bake(scene, Settings.for_error(0.02, patch_edge=None, gather_rays=128), LocalCells()))
+        inside = found.points.smooth & (found.state().gathered.closest > CROWDED)
+        off, light = (found.points.area[inside] * x[:, inside] ** 2 for x in (found.light.total - fine, fine))
+        return found.estimate.interior / np.sqrt(off.sum() / light.sum())
+
+    assert ratio() > 0.6
+    monkeypatch.setattr(choices, "DEEPER", 0)
+    assert ratio() < 0.6
+
+
+def test_the_control_goes_deeper_on_long_patches_that_were_asked_for():
+    usual = Settings.for_error(0.02)
+    assert [bounces_deeper(replace(usual, patch_edge=x)) for x in (None, 1 / 12, usual.patch_edge, 1 / 100)] == [
+        2,
+        2,
+        0,
+        0,
+    ]
 
 
 def behind_a_door():
