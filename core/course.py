@@ -40,7 +40,7 @@ from .choices import (
 )
 from .clock import Clock
 from .contacts import cut_contacts
-from .control import Control, Traced, draw_control
+from .control import Control, Traced, draw_control, tight_places
 from .costs import Work, with_costs
 from .effects import Survey, simplified, survey
 from .gather import Gathering, light_arrays, patch_light, sides_of
@@ -289,11 +289,16 @@ class Course:
             each = self.settings.per_object
             count = control_count(len(np.unique(self.points.object)) if each else 0)
             yield from self._smooth()
-            drawn = draw_control(self.points, self._light(), count, each)
+            drawn = draw_control(self.points, self._light(), self._tight(), count, each)
             traced = Traced(rounds=self._known.traced.rounds) if self._known and self._known.traced else None
             self.control = self._control(drawn, traced)
         yield from self.look()
         self.clock.lap("survey")
+
+    def _tight(self):
+        """(P,) whether points lie where there is little room before them, as the pilot's rays tell."""
+        pilot = self.gathering.gathered.replicates[0]
+        return tight_places(pilot.nearness / self.scene.diagonal, np.sqrt(self.patches.area[self.side >> 1]))
 
     def take_up(self):
         """Find the points, and what is known of their light."""

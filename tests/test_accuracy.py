@@ -273,10 +273,12 @@ def test_products_of_different_truths_have_no_noise_of_their_own():
 
 
 def test_control_points_lie_where_the_error_is():
-    """A wall that sources light without any doubt, and a room that is much darker, noisy in one corner: few control points
-    lie on the wall, many in that corner, where the noise of no single point tells; and by weight they stand for all."""
+    """A wall that sources light without any doubt, and a room that is much darker, noisy in one corner, with a tight and even
+    darker one: few control points lie on the wall, many in those corners, where the noise of no single point tells; and by
+    weight they stand for all."""
     count, rng = 5000, np.random.default_rng(3)
     wall, corner = np.arange(count) < count // 2, np.arange(count) >= count - 100
+    tight = (np.arange(count) >= count - 200) & ~corner
     edges = np.array([(k, k - 1) for k in range(1, count)])
     edges = np.concatenate([edges, edges[:, ::-1]])
     edges = edges[np.lexsort(edges.T[::-1])]
@@ -284,11 +286,12 @@ def test_control_points_lie_where_the_error_is():
         area=rng.uniform(0.5, 1.5, count), object=np.where(wall, 0, 1), neighbor=edges[:, 1],
         neighbor_start=np.append(0, np.cumsum(np.bincount(edges[:, 0], minlength=count))),
     )  # fmt: skip
-    direct, indirect = np.where(wall, 10.0, 0.0)[None], np.where(wall, 0.0, 0.1)[None]
+    direct, indirect = np.where(wall, 10.0, 0.0)[None], np.where(wall, 0.0, np.where(tight, 0.02, 0.1))[None]
     variance = np.where(corner & (np.arange(count) % 2 == 0), 1e-3, 0.0)[None]
-    ids, weight = draw_control(points, Light(direct, indirect, variance, None, None), 320, False)
+    ids, weight = draw_control(points, Light(direct, indirect, variance, None, None), tight, 320, False)
     assert wall[ids].mean() < 0.4
     assert (corner & (np.arange(count) % 2 == 1))[ids].sum() > 20
+    assert tight[ids].sum() > 25
     for value in (np.ones(count), wall, np.sin(np.arange(count) / 700)):
         spread = 3 * np.sqrt(((weight * value[ids]) ** 2).sum())
         assert (weight * value[ids]).sum() == pytest.approx((points.area * value).sum(), abs=spread)

@@ -68,15 +68,21 @@ def test_near_hits_of_a_fine_mesh_go_on(monkeypatch):
     assert error(FINE=0.5, CLOSE=0.0) > 0.2
 
 
+def half_covered(height, fine=1):
+    """A sunlit floor, and a plate that hangs close above half of it."""
+    floor = sheet("floor", [(-1, -1, 0), (2, -1, 0), (2, 1, 0), (-1, 1, 0)], 9 * fine, 6 * fine)
+    plate = sheet("plate", [(0, -1, height), (0, 1, height), (2, 1, height), (2, -1, height)], 6 * fine, 6 * fine)
+    return join_meshes([floor, plate], [Material("white", (0.8,) * 3)], [Lamp("sun", (SUN,) * 3)])
+
+
 def test_deep_in_a_gap_nobody_reads_the_light_of_its_mouth(monkeypatch):
-    """A sunlit floor, and a plate that hangs close above half of it: light falls off within the gap's width. Where each object
-    is to reach the error, what is found there on patches seven times as wide is what patches a quarter as wide show."""
-    floor = sheet("floor", [(-1, -1, 0), (2, -1, 0), (2, 1, 0), (-1, 1, 0)], 9, 6)
-    plate = sheet("plate", [(0, -1, 0.05), (0, 1, 0.05), (2, 1, 0.05), (2, -1, 0.05)], 6, 6)
-    scene = join_meshes([floor, plate], [Material("white", (0.8,) * 3)], [Lamp("sun", (SUN,) * 3)])
+    """Light falls off within the gap's width. Where each object is to reach the error, what is found there on patches seven
+    times as wide is what patches a quarter as wide show."""
 
     def light(**knobs):
-        baked = run(bake(scene, settings(per_object=True, gather_rays=256, row_rays=256, **knobs), LocalCells()))
+        baked = run(
+            bake(half_covered(0.05), settings(per_object=True, gather_rays=256, row_rays=256, **knobs), LocalCells())
+        )
         inside = (np.abs(baked.points.position - (1 / 3, 0, 0)) < (0.01, 0.9, 0.01)).all(axis=1)
         assert inside.sum() == 5
         return baked.light.total[0, inside].mean() / SUN
@@ -84,6 +90,19 @@ def test_deep_in_a_gap_nobody_reads_the_light_of_its_mouth(monkeypatch):
     assert light() == pytest.approx(0.0166, rel=0.15)  # of patches 1.2 cm long
     monkeypatch.setattr(anew, "ACROSS", 2.0)
     assert light() > 0.03
+
+
+def test_the_estimate_sees_what_is_wrong_in_a_gap(monkeypatch):
+    """Where gaps read the light of their mouths, what patches have averaged away is said; less by far with truths
+    that read it too."""
+
+    def seen():
+        baked = run(bake(half_covered(0.03, 4), Settings.for_error(0.05, gather_rays=256), LocalCells()))
+        return baked.estimate.averaged
+
+    across = seen()
+    monkeypatch.setattr(anew, "NARROW", 0.0)
+    assert across > 1.4 * seen()
 
 
 def test_the_nearest_hits_of_the_finest_meshes_go_on_below_3_percent(monkeypatch):
