@@ -208,7 +208,8 @@ class Transport:
         thousandth too much of one another, and send on 0.9 of it, all light is a hundredth too bright, and whoever gathers
         over such light finds a thousandth of it wrong. What they send has no such noise, as all arrives that does not escape.
         With p what they get, q what they send, and s the part of it that they have not from one another, f in
-        f p = s + f (q - s) is the factor. Where p and q differ by more than the noise explains they are not of the same
+        f p = s + f (q - s) is the factor. Where much of what they send escapes, the little that arrives is noisy too: p is then
+        moved toward q only as far as makes their mean the least noisy. Where p and q differ by more than the noise explains they are not of the same
         sides, as where surfaces lie on one another, and tell nothing.
         """
         rows, sides, surfaces = self.rows, self.rows.sides, self.surfaces
@@ -218,10 +219,10 @@ class Transport:
         light = surfaces.found + surfaces.send(irradiance)
         got, square, share = rows.among(light, self.sky.shape[1])
         sent = light[:, sides]
-        # Of a ray: the variance of what it brings less what it sends. All channels are judged as one: of many groups of light,
-        # each by itself, one would often seem not to be of the same sides.
+        # Of a ray: the variance of what it brings, of what it sends, and of both with one another. All channels are judged as
+        # one: of many groups of light, each by itself, one would often seem not to be of the same sides.
         bring, send = got.sum(axis=0), sent.sum(axis=0)
-        noise = square - 2 * send * bring + send * send * share - (bring - send * share) ** 2
+        noises = square - bring**2, send * send * share * (1 - share), send * bring * (1 - share)
         if self.guide is not None and len(self.guide):  # whose first light guided rays have found
             bright = np.zeros_like(light)
             bright[:, self.guide.sides] = self.first_light[:, self.guide.sides]
@@ -233,9 +234,11 @@ class Transport:
             np.stack([np.bincount(island, area * channel) for channel in values])
             for values in (got, share * sent, share * first)
         )
-        variance = np.bincount(island, area**2 * noise) / rows.rays
-        certain = (p - q).sum(axis=0) ** 2 <= CERTAIN**2 * variance
-        factor = np.where(certain, ratio(s, p - (q - s)), 1.0)
+        brought, away, both = (np.bincount(island, area**2 * noise) for noise in noises)
+        variance = np.maximum(brought + away - 2 * both, 0.0)
+        certain = (p - q).sum(axis=0) ** 2 <= CERTAIN**2 * variance / rows.rays
+        trust = np.clip(ratio(brought - both, variance), 0.0, 1.0)
+        factor = np.where(certain, ratio(s, s + trust * (p - q)), 1.0)
         irradiance = irradiance.copy()
         irradiance[:, sides] += (factor[:, island] - 1) * got
         return self._shot(irradiance)
