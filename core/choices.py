@@ -155,8 +155,8 @@ def more_control(found, settings, rays, doubt, wanted):
     # They are of use if they take off more than chance must; of few rays, one may weigh too much.
     helped = found.doubt * sqrt(sqrt(rays)) <= doubt or rays <= SURE_RAYS
     error = settings.error
-    # A bake that would end above the error, where that may be chance, has nothing else to try.
-    helped |= not wanted and 0 < found.furthest**2 - error**2 < CERTAIN * found.doubt
+    # A bake that would end above the error, where that may be chance, has nothing else to try, unless it was told to end.
+    helped |= not wanted and settings.gather_rays is None and 0 < found.furthest**2 - error**2 < CERTAIN * found.doubt
     if rays >= MOST_CONTROL_RAYS or found.noise > ENOUGH * error or not helped:
         return 0
     # What is cheaper comes first: to gather more, or to know better whether it must be.

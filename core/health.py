@@ -366,11 +366,8 @@ def _bounded(scene, k, findings):
     bad = [n for n in fixed if n != "tint" and n not in far]
     if bad and (scene.polygon_material == k).any():
         what = ", ".join(bad)
-        findings.append(
-            Finding(
-                material.name, f"a material whose {what} is negative, no number, or beyond all measure", "0 was taken"
-            )
-        )
+        text = f"a material with values that are negative, no numbers, or beyond all measure: {what}"
+        findings.append(Finding(material.name, text, "0 was taken"))
     return replace(material, **fixed)
 
 

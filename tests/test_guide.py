@@ -195,7 +195,8 @@ def test_the_same_bits_from_any_number_of_cells_and_after_a_state(always, tmp_pa
     on = run(bake(scene, more, LocalCells(), state=known))
     whole = run(bake(scene, more, LocalCells(), state=one.state()))
     assert np.array_equal(on.light.total, whole.light.total)
-    assert on.rays < one.rays
+    afresh = run(bake(scene, more, LocalCells()))
+    assert on.rays < 0.8 * afresh.rays
 
 
 @pytest.mark.parametrize(("count", "sampled"), [(5, 25), (7, 32), (9, 0)])
