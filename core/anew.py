@@ -103,7 +103,8 @@ def read_reflected(kernel, hit, ids, normal, size, seed, anew=None):
 def _going_on(kernel, hit, normal, size=None):
     """(K,) numbers of the Hits of n rays each, from places with normals (P, 3), whose rays go on: those across a gap, and, if
     the places are of a mesh, of so fine a one; size: (P,) square root of the area that each stands for [m]. See CLOSE."""
-    close, fine = kernel.arrays["gather.close"] * (CLOSE, FINE) if size is not None else (0.0, 0.0)
+    # Python's own numbers: beside those of numpy float32 is float64 in numpy 2, and other bits.
+    close, fine = (kernel.arrays["gather.close"] * (CLOSE, FINE)).tolist() if size is not None else (0.0, 0.0)
     gap = CLOSE if kernel.arrays["gather.gaps"] else NARROW if size is None else 0.0
     if not ((close or gap) and kernel.occluded and len(normal)):
         return np.zeros(0, np.int64)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -176,3 +177,17 @@ def test_patches_on_the_rim_of_a_beam_get_all_of_its_power(lamp):
     power = 2 * np.pi * whole * (1 - 0.5 / 2) if lamp.kind == "spot" else np.pi * 0.1 * 0.1
     landed = (solved.patches.area * solved.solution.direct[0, 0::2]).sum()
     assert landed == pytest.approx(power, rel=0.03)
+
+
+@pytest.mark.skipif(not hasattr(np, "_set_promotion_state"), reason="numpy 2 knows its own ways alone")
+@pytest.mark.parametrize("knobs", [dict(error=0.01), dict(error=0.02, per_object=True)])
+def test_numbers_are_as_precise_in_numpy_2(knobs):
+    """Where float32 meets a number of numpy's it stays float32 in numpy 1 alone: other rays would go on in other Blenders."""
+    np._set_promotion_state("weak_and_warn")
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "result dtype changed")
+            warnings.filterwarnings("error", "result dtype changed.*float32 to float64")
+            run(bake(half_lit(8), Settings.for_error(**knobs), LocalCells()))
+    finally:
+        np._set_promotion_state("legacy")
