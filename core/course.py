@@ -148,11 +148,12 @@ class Course:
         self._fit(0, self._points_foreseen(), begun=False)
         self.survey = self._surveyed(settings)
         self._asked, self.settings = settings, sharpened(eased(settings, self.survey), scene)
-        self._coarse = False
+        self._coarse, self._row_rays, self._further = False, self.settings.row_rays, bounces_deeper(settings)
         if state:
-            usual, self.settings = self.settings, state.knobs(self.settings)
-            self._coarse = finer(usual, self.settings)
-        self._row_rays = self.settings.row_rays
+            usual, self.settings = self._with_rows_that_fit(self.settings, state.patches), state.knobs(self.settings)
+            self._coarse, self._further = finer(usual, self.settings), max(self._further, state.further)
+            if self.settings.row_rays < usual.row_rays:  # for which the memory that there is now is not to blame
+                self._row_rays = self.settings.row_rays
         self.solution = self.points = self.side = self.gathering = self.control = self.estimate = None
         self.openness = self.averaged = None
         self._places, self._round, self._solved = None, None, settings.error
@@ -165,6 +166,11 @@ class Course:
     def _fit(self, patches, points, begun=True):
         """Let only so many cells work as fit into the memory that may be used."""
         self.cells.limit(cells_within(self.settings.memory, len(self.scene.triangles), patches, points, begun))
+
+    def _with_rows_that_fit(self, settings, patches):
+        """Settings with rows of patches that fit into the memory."""
+        sides = len(patches) * (2 if self.survey.needs("two-sided") else 1)
+        return replace(settings, row_rays=rays_that_fit(sides, settings))
 
     def _surveyed(self, settings):
         """The Survey: that of the known state, if it was made for an error as small."""
@@ -219,8 +225,7 @@ class Course:
             patches = cut_contacts(scene, patches, cells)
         sources, sampled = add_pictures(scene, patches, sources, sampled)
         if not known:
-            sides = len(patches) * (2 if found.needs("two-sided") else 1)
-            self.settings = replace(settings, row_rays=rays_that_fit(sides, settings))
+            self.settings = self._with_rows_that_fit(settings, patches)
         surfaces, sky = _surfaces(scene, patches, sampled, found, np.pi * sky.T)
         if not found.needs("color"):
             sources = sources.one_channel()
@@ -318,7 +323,7 @@ class Course:
 
     def _control(self, drawn, traced):
         """The Control at points that were drawn, which goes on from what was traced."""
-        more = self._group_count, traced, bounces_deeper(self._asked)
+        more = self._group_count, traced, self._further
         return Control(self.points, *drawn, self.cells, self.settings, *more)
 
     def _gathering(self, points, side, gathered=None):
@@ -583,7 +588,11 @@ class Course:
         known = self._known or State(scene_prints(self.scene), self.settings, self.survey, self.patches, self.groups)
         error = min(self.settings.error, known.settings.error)
         found = dict(
-            settings=replace(self.settings, error=error), survey=self.survey, seconds=self._seconds(), price=self.price
+            settings=replace(self.settings, error=error),
+            survey=self.survey,
+            further=self._further,
+            seconds=self._seconds(),
+            price=self.price,
         )
         if self.solution is not None:
             found.update(solution=self.solution, solved=self._solved)

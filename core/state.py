@@ -33,7 +33,7 @@ from .saving import written_whole
 from .settings import Settings
 from .transport import Round, Solution
 
-FORMAT = 9  # of the file; higher when samples of the same seed become others
+FORMAT = 10  # of the file; higher when samples of the same seed become others
 ANEW = "name another state file to bake it anew"
 DAMAGED = f"it is not a state file, or is damaged: {ANEW}"
 
@@ -51,6 +51,7 @@ class State:
     solution: perhaps unfinished. solved: the error that it was finished for, infinite before.
     places: arrays from which points are made again without a ray, {name: array}. side: (P,) the patch side of each.
     gathered: replicates. bounds: of the transport that each of them has read.
+    further: how many times more than once rays of the control go on.
     control: ids and weights of control points. each_object: they are drawn from each object. traced: their truths.
     doubt: of the estimate before they were last traced, since the last replicate, times the fourth root of their rays.
     openness: (distance, (P,)). averaged: Averages of light over surfaces around points.
@@ -70,6 +71,7 @@ class State:
     side: np.ndarray | None = None
     gathered: Gathered | None = None
     bounds: tuple = ()
+    further: int = 0
     control: tuple | None = None
     each_object: bool = False
     traced: Traced | None = None
@@ -282,6 +284,7 @@ def _packed(state):
         "bounds": state.bounds,
         "doubt": state.doubt,
         "each_object": state.each_object,
+        "further": state.further,
         "price": [asdict(p) for p in state.price],
         "seconds": state.seconds,
         "note": state.note,
@@ -321,7 +324,7 @@ def _packed(state):
 
 def _unpacked(arrays, told):
     """The State that `_packed` told of."""
-    known = {name: told[name] for name in ("prints", "solved", "doubt", "each_object", "seconds", "note")}
+    known = {name: told[name] for name in ("prints", "solved", "doubt", "each_object", "further", "seconds", "note")}
     settings = Settings(**{**told["settings"], "force": tuple(told["settings"]["force"])})
     state = State(
         settings=settings,

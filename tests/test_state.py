@@ -12,6 +12,7 @@ import pytest
 from cell_radiosity.core import state as core_state
 from cell_radiosity.core.bake import bake, restored, run
 from cell_radiosity.core.cells import LocalCells
+from cell_radiosity.core.choices import DEEPER
 from cell_radiosity.core.course import SOLVED, Course
 from cell_radiosity.core.settings import Settings
 from cell_radiosity.core.state import FORMAT, StateError, load_state, save_state
@@ -228,6 +229,35 @@ def test_coarse_patches_are_kept_and_named(tmp_path):
     (finding,) = [f for f in result.survey.health if f.object == "patches"]
     assert "0.5 % asks for" in finding.finding
     assert "they were kept" in finding.action
+
+
+def test_short_rows_of_a_state_are_the_memorys_as_long_as_it_holds_no_longer_ones(tmp_path):
+    low = Settings.for_error(0.007, memory=1e6, gather_rays=16)
+    first = run(bake(room(), low, LocalCells()))
+    state = through(tmp_path / "s", first.state())
+    for memory, named in ((low.memory, "memory"), (4e9, "patches")):
+        result = run(bake(room(), replace(low, memory=memory), LocalCells(), state=state))
+        assert same(result, first)
+        (finding,) = result.survey.health
+        assert finding.object == named
+        assert (finding in first.survey.health) == (named == "memory")
+
+
+@pytest.mark.parametrize("edge", [1 / 4, None])
+def test_control_is_as_deep_as_long_patches_of_a_state_call_for(tmp_path, edge):
+    """Also where they are not asked for again: else they would seem better than they are."""
+    first = replace(Settings.for_error(0.03), patch_edge=edge)
+    progress = broken(room(), first, LocalCells(), lambda p: p.phase == "error")
+    state = through(tmp_path / "s", progress.state())
+    depths = set()
+
+    class Cells(LocalCells):
+        def submit(self, name, **arguments):
+            depths.update([arguments["further"]] if name == "control" else ())
+            return super().submit(name, **arguments)
+
+    run(bake(room(), Settings.for_error(0.03), Cells(), state=state))
+    assert depths == {DEEPER}
 
 
 def test_patches_that_forbid_the_error_end_the_bake(tmp_path):
