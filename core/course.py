@@ -301,9 +301,10 @@ class Course:
         self.clock.lap("survey")
 
     def _tight(self):
-        """(P,) whether points lie where there is little room before them, as the pilot's rays tell."""
-        pilot = self.gathering.gathered.replicates[0]
-        return tight_places(pilot.nearness / self.scene.diagonal, np.sqrt(self.patches.area[self.side >> 1]))
+        """(P,) whether points lie where there is little room before them, as the pilot's rays tell, but not in corners."""
+        found = self.gathering.gathered
+        nearness = found.replicates[0].nearness / self.scene.diagonal
+        return tight_places(nearness, np.sqrt(self.patches.area[self.side >> 1])) & (found.closest > CROWDED)
 
     def take_up(self):
         """Find the points, and what is known of their light."""
