@@ -9,8 +9,8 @@ from math import inf
 from time import perf_counter
 
 from ..core.bake import bake, price, relit, restored, run
+from ..core.baked import Progress
 from ..core.cells import make_cells
-from ..core.course import Progress
 from ..core.effects import survey
 from ..core.flats import emitting_polygons
 from ..core.health import NO_LIGHT, mend

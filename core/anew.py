@@ -31,8 +31,9 @@ FINE = 1.0
 # there light falls off within the gap's width from its mouth, and what lies deeper would read the mean of patches that have
 # all of that. A wall 1 cm behind a cupboard was off by 6 % at 2 % per object, now by 1.5 %.
 ONWARD = 6
-# Elsewhere only the truth crosses gaps, once, and those narrower than this times a side: so that it sees what is wrong in them
-# (pictures 3 cm before lit walls: 2 % where 1 % was asked for, and 0.8 % was said), for 3 to 7 % of the time.
+# Elsewhere only rays that go on for another reason cross gaps, those of the truth above all: once, and gaps narrower than this
+# times a side. So the estimate sees what is wrong in them (pictures 3 cm before lit walls: 2 % where 1 % was asked for and 0.8 %
+# was said), for 3 to 7 % of the time.
 NARROW, ONCE = 0.5, 1
 ACROSS = 0.7  # least cosine between the two sides of a gap, one of them turned about: a crease is none
 BRIGHT = 1.0  # times what points get in the mean: as much a source must add to what a side reflects, or its edge is no matter

@@ -1,12 +1,11 @@
 """The course of a bake: each step from a scene to the light at its points, and what decides on the next.
 
-Owns the records `Progress` and `Bake`, and `Course`, which makes them. `bake` says in which order the steps are taken.
+Owns `Course`. `bake` says in which order its steps are taken.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import cached_property, partial
 from math import inf, log, sqrt
 from time import perf_counter
@@ -16,7 +15,6 @@ import numpy as np
 from .accuracy import (
     CROWDED,
     MOST_RAYS,
-    Estimate,
     estimate_error,
     noise_wanted,
     rays_by_object,
@@ -24,6 +22,7 @@ from .accuracy import (
     rays_wanted,
 )
 from .averages import Averages, places_wanted
+from .baked import Bake, Progress
 from .budget import cells_within
 from .choices import (
     bounces_deeper,
@@ -42,30 +41,28 @@ from .clock import Clock
 from .contacts import cut_contacts
 from .control import Control, Traced, draw_control, tight_places
 from .costs import Work, with_costs
-from .effects import Survey, simplified, survey
+from .effects import simplified, survey
 from .gather import Gathering, light_arrays, patch_light, sides_of
-from .groups import Groups, weighted
+from .groups import weighted
 from .health import Finding
 from .host import rays_that_fit, solve
 from .kernel import cast_arrays, transport_arrays
 from .lights import make_sources
 from .occlusion import find_openness
 from .paper import solve_paper
-from .patches import Patches, count_patches, patch_of_hit, patch_size
+from .patches import count_patches, patch_of_hit, patch_size
 from .pictures import add_pictures, near_pictures
 from .pieces import shut_in
 from .placing import refill, thin_findings
 from .points import Points, make_points
 from .prices import PRICED, Pilot, price_list
 from .records import from_arrays, to_arrays
-from .replicates import Light
-from .scene import Scene, World
+from .scene import World
 from .settings import Settings
 from .sky import split_sky
 from .state import State, scene_prints
 from .steep import make_fine_patches
 from .surfaces import make_surfaces, reflects
-from .transport import Solution
 
 ROUGH_RAYS = 32  # of a point, to tell where a mesh must be finer
 # So many times shorter are patches where the usual ones alone keep a bake from its error: the first that makes as many
@@ -76,65 +73,6 @@ PLACED = 100_000  # points that are foreseen where they do not lie on the scene'
 PILOT = 2  # replicates of the pilot: how they scatter shows their noise
 MOST_REPLICATES = 40  # where objects are gathered one by one
 SOLVED = 0.25  # of the error asked for: a known transport whose bound is below that is good enough
-
-
-@dataclass(frozen=True)
-class Progress:
-    """Where a bake stands.
-
-    phase: "survey", "patches", "transport", "gather" or "error". done: share of the phase, 0..1.
-    seconds: since the bake began. left: seconds, a guess. rays: cast so far.
-    round, bound: of the transport. points: gathered so far. error: estimated so far.
-    take(): the Bake as it stands, as long as it has not gone on; None before there is light.
-    state(): the State as it stands, to carry the bake on from; None before there are patches.
-    """
-
-    phase: str
-    done: float
-    seconds: float
-    rays: int = 0
-    round: int = 0
-    bound: float | None = None
-    points: int = 0
-    left: float | None = None
-    error: float | None = None
-    take: Callable | None = field(default=None, repr=False, compare=False)
-    state: Callable | None = field(default=None, repr=False, compare=False)
-
-
-@dataclass(frozen=True)
-class Bake:
-    """A finished bake, or one as it stands: every record of its path, and what it took.
-
-    scene: the one that is written. settings: as they came to be.
-    estimate: of its error. converged: the error asked for was reached. floor: it was reached by the cheapest way.
-    price: tuple of Price, after the pilot.
-    seconds: by phase, and CPU seconds. rays: cast in all. cells: what they used.
-    groups: light groups, if they were asked for. by_group: a Light with a channel for each group's.
-    factors: (G, 3) by which the groups' strengths were changed, None for none.
-    openness: (P,) 1 less ambient occlusion, if it was asked for.
-    state(): the State, to carry it on from.
-    """
-
-    scene: Scene
-    settings: Settings
-    survey: Survey
-    patches: Patches
-    points: Points
-    solution: Solution
-    light: Light
-    estimate: Estimate | None = None
-    converged: bool = False
-    floor: bool = False
-    price: tuple = ()
-    seconds: dict = field(default_factory=dict)
-    rays: int = 0
-    cells: dict = field(default_factory=dict)
-    groups: Groups | None = None
-    by_group: Light | None = None
-    openness: np.ndarray | None = None
-    factors: np.ndarray | None = None
-    state: Callable | None = field(default=None, repr=False, compare=False)
 
 
 class Course:

@@ -17,7 +17,7 @@ CORE = sorted((ROOT / "core").glob("*.py"))
 # Later modules may import earlier ones, never the other way round.
 CHAIN = [
     "vectors", "graphs", "sampling", "polygons", "records", "saving", "settings", "scene", "sky", "alpha", "raycast", "patches", "cuts", "surfaces", "health", "remesh", "touching", "points", "flats", "pieces", "lights", "members", "crowd", "steep", "groups",
-    "guide", "kernel", "rows", "contacts", "placing", "anew", "filter", "replicates", "direct", "gather", "control", "occlusion", "subdivide", "atlas", "lightmap", "tasks", "cells", "budget", "clock", "cell", "replay", "share", "pictures", "convexity", "evidence", "effects", "costs", "accuracy", "kept", "transport", "host", "paper", "averages", "choices", "prices", "state", "layers", "compare", "knobs", "course", "bake", "experiment", "report", "picture",
+    "guide", "kernel", "rows", "contacts", "placing", "anew", "filter", "replicates", "direct", "gather", "control", "occlusion", "subdivide", "atlas", "lightmap", "tasks", "cells", "budget", "clock", "cell", "replay", "share", "pictures", "convexity", "evidence", "effects", "costs", "accuracy", "kept", "transport", "host", "paper", "averages", "choices", "prices", "state", "layers", "compare", "knobs", "baked", "course", "bake", "experiment", "report", "picture",
 ]  # fmt: skip
 
 # Functions whose last bit depends on the build of numpy (BLAS, SIMD), with what to use instead.

@@ -15,7 +15,7 @@ from cell_radiosity.core.patches import make_patches
 from cell_radiosity.core.surfaces import Surfaces, make_surfaces
 from cell_radiosity.core.transport import Transport, fixed_point
 
-from scenes import Lamp, Material, Settings, World, box, join_meshes, run
+from scenes import Lamp, Material, Settings, World, box, join_meshes, run, sheet
 
 RAYS = 32
 
@@ -124,7 +124,12 @@ def bright_room(reflectance, seed, faces="xXyYzZ"):
         [Material("plaster", (reflectance,) * 3)],
         [Lamp("point", (3.0, 2.0, 1.0), (0.5, 0.2, 0.8))],
     )
-    patches, (sources, sampled) = make_patches(scene, 0.3), make_sources(scene)
+    return after_rows(scene, 0.3, seed)
+
+
+def after_rows(scene, edge, seed):
+    """The Transport of a scene, on patches of this length, after all its rows have come."""
+    patches, (sources, sampled) = make_patches(scene, edge), make_sources(scene)
     cells = LocalCells()
     cells.start(scene_arrays(scene, patches, sources))
     sides = np.arange(2 * len(patches))
@@ -193,6 +198,21 @@ def test_a_balance_takes_noise_off_a_bright_room_with_a_wall_missing():
     before, after = np.transpose(sums)
     assert after.std() < 0.85 * before.std()
     assert abs(after.mean() - before.mean()) < 3 * before.std() / np.sqrt(40)
+
+
+def test_a_balance_adds_no_noise_where_nearly_all_light_escapes():
+    """Below the sky, what little of a sunlit floor's light a screen above it catches is noisier than what the screen finds."""
+    floor = sheet("floor", [(-1.5, -1.5, 0), (1.5, -1.5, 0), (1.5, 1.5, 0), (-1.5, 1.5, 0)], 6, 6)
+    screen = sheet("screen", [(-0.4, -0.3, 0.6), (-0.4, 0.9, 0.6), (0.8, 0.9, 0.6), (0.8, -0.3, 0.6)])
+    scene = join_meshes([floor, screen], [Material("white", (0.8,) * 3)], [Lamp("sun", (3.0,) * 3)])
+    sums = []
+    for seed in range(60):
+        state = after_rows(scene, 0.35, seed)
+        settled, _, _ = state.settle(1e-9)
+        sums.append((light_of(state, settled)[0], light_of(state, state.balanced(settled))[0]))
+    before, after = np.transpose(sums)
+    assert after.std() < 1.1 * before.std()
+    assert abs(after.mean() - before.mean()) < before.std() / 5
 
 
 @pytest.mark.parametrize("reflectance", [0.2, 0.45, 0.55])

@@ -23,8 +23,8 @@ from cell_radiosity.addon.session import Session
 from cell_radiosity.addon.translations import VALUE, tr, tr_message
 from cell_radiosity.addon.translations_de import GERMAN
 from cell_radiosity.core.bake import bake, run
+from cell_radiosity.core.baked import Progress
 from cell_radiosity.core.cells import LocalCells
-from cell_radiosity.core.course import Progress
 from cell_radiosity.core.effects import survey
 from cell_radiosity.core.layers import layer_colors
 from cell_radiosity.core.settings import EFFECTS, Settings

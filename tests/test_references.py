@@ -45,8 +45,8 @@ def test_the_error_asked_for_is_there_and_known(cells, name):
 )
 def test_hardly_a_vertex_is_off_because_of_where_it_lies(cells, name, error, most):
     """Vertices on creases, in corners and where things touch included: no more than 0.4 % of all are off by more than 5 % of the
-    mean light at 0.5 %, 1.2 % at 1 %, and 5 % at 2 %. Points that are not moved off creases, or that read coarse patches at their feet, are
-    more."""
+    mean light at 0.5 %, 1.2 % at 1 %, and 5 % at 2 %. Points that are not moved off creases, or that read coarse patches at
+    their feet, are more."""
     scene, reference = opened(name), reference_of(name)
     found = run(bake(scene, Settings.for_error(error), cells))
     scene, colors = found.scene, layer_colors(found, "Lighting")
