@@ -113,6 +113,14 @@ def estimate_error(points, light, control, free, bound, more=0.0):
     )
 
 
+def share_of_light(variance, points, light, free):
+    """What a variance (P,) [W^2/m^4] is of the power of a Light, as the error is counted: of the free points, (P,) bool, or
+    of the interior ones if that is more."""
+    noise, power = points.area * variance, points.area * (light.total * light.total).sum(axis=0)
+    parts = (part for part in (free, free & points.smooth) if power[part].sum() > 0)
+    return float(max((noise[part].sum() / max(power[part].sum(), 1e-300) for part in parts), default=0.0))
+
+
 def mean_product(values, rays):
     """(K,) mean of the products, summed over channels, of any two of values (M, C, K), by their rays (M,): the noise of
     one never meets itself. Of many values there are more pairs than of two halves of them, so that what is left of the

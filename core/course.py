@@ -20,6 +20,7 @@ from .accuracy import (
     rays_by_object,
     rays_tested,
     rays_wanted,
+    share_of_light,
 )
 from .averages import Averages, places_wanted
 from .baked import Bake, Progress
@@ -71,7 +72,7 @@ FINER = (1.5, 2.25, 3.4)
 IN_TIME = 0.9  # of the time that is left is spent on another replicate
 PLACED = 100_000  # points that are foreseen where they do not lie on the scene's vertices
 PILOT = 2  # replicates of the pilot: how they scatter shows their noise
-MOST_REPLICATES = 40  # where objects are gathered one by one
+MOST_REPLICATES = 40  # that are gathered: what so many did not bring, more would not
 SOLVED = 0.25  # of the error asked for: a known transport whose bound is below that is good enough
 
 
@@ -242,7 +243,7 @@ class Course:
         """(P,) whether points lie where there is little room before them, as the pilot's rays tell, but not in corners."""
         found = self.gathering.gathered
         nearness = found.replicates[0].nearness / self.scene.diagonal
-        return tight_places(nearness, np.sqrt(self.patches.area[self.side >> 1])) & (found.closest > CROWDED)
+        return tight_places(nearness, np.sqrt(self.patches.area[self.side >> 1])) & self._free
 
     def take_up(self):
         """Find the points, and what is known of their light."""
@@ -291,8 +292,12 @@ class Course:
 
     def _direct_noise(self):
         """Square of the noise of direct light, as a share of all light."""
-        power = float((self.points.area * (self._light().total ** 2).sum(axis=0)).sum())
-        return self.gathering.direct_noise() / max(power, 1e-300)
+        return share_of_light(self.gathering.direct_noise(), self.points, self._light(), self._free)
+
+    @property
+    def _free(self):
+        """(P,) bool, points that do not lie in a corner."""
+        return self.gathering.gathered.closest > CROWDED
 
     def gather(self):
         """Gather the replicates that were asked for."""
@@ -374,8 +379,7 @@ class Course:
         yield from each(self.gathering.smoothing(self.scene.diagonal), lambda _: self._of_control(0.0))
 
     def _estimate(self, more=0.0):
-        free = self.gathering.gathered.closest > CROWDED
-        self.estimate = estimate_error(self.points, self._light(), self.control, free, self._bound(), more)
+        self.estimate = estimate_error(self.points, self._light(), self.control, self._free, self._bound(), more)
 
     def _bound(self):
         """The certified bound of the transport that the replicates have read, of all together."""
@@ -432,6 +436,8 @@ class Course:
             rays = int(IN_TIME * left * seconds["rays"] / max(seconds["replicates"], 1e-9))
             return min(rays, MOST_RAYS) if rays >= PILOT * self.settings.pilot_rays else 0
         if self._coarse and self.estimate.averaged >= self.settings.error:
+            return 0
+        if len(self.gathering.gathered.replicates) >= MOST_REPLICATES:
             return 0
         return rays_wanted(self.estimate, so_far, self.settings.error)
 

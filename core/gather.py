@@ -169,12 +169,12 @@ class Gathering:
         return ratio(total, sum(weight))
 
     def direct_noise(self):
-        """Variance of the direct light of sampled sources [W^2/m^2], summed over area and channels."""
-        replicates, total = self.gathered.replicates, 0.0
+        """(P,) variance of the direct light of sampled sources [W^2/m^4], summed over channels."""
+        variance = np.empty(len(self.points))
         for part in light_blocks(len(self.points), len(self.points) > WHOLE):
-            own = [r.part(part) for r in replicates]
-            total += float((self.points.area[part] * direct_variance(own, mean_of(own, "direct"), self._groups)).sum())
-        return total
+            own = [r.part(part) for r in self.gathered.replicates]
+            variance[part] = direct_variance(own, mean_of(own, "direct"), self._groups).sum(axis=0)
+        return variance
 
     def light(self, diagonal):
         """The Light so far, filtered; diagonal: of the scene [m]. See `mean_light`."""

@@ -23,12 +23,13 @@ from cell_radiosity.core.accuracy import (
     rays_by_object,
     rays_tested,
     rays_wanted,
+    share_of_light,
 )
 from cell_radiosity.core.bake import price, through
 from cell_radiosity.core.cells import LocalCells
 from cell_radiosity.core.choices import CONTROL_COST, MOST_CONTROL_RAYS, STEP, UNSURE, bounces_deeper, more_control
 from cell_radiosity.core.control import draw_control
-from cell_radiosity.core.course import Course
+from cell_radiosity.core.course import MOST_REPLICATES, Course
 from cell_radiosity.core.effects import Survey
 from cell_radiosity.core.prices import AGAIN, Pilot, price_list, rays_more, replicate_seconds, transport_prices
 from cell_radiosity.core.replicates import Light
@@ -207,6 +208,36 @@ def test_direct_light_that_has_no_noise_is_tested_no_more():
     assert later
     assert all(r.test_rays == r.rays for r in pilots)
     assert all(r.test_rays < r.rays / 2 and (r.test_rays > 0) == bool(r.direct.any()) for r in later)
+
+
+def test_direct_noise_counts_as_the_error_does():
+    """Where nearly all light falls into corners, which do not count, the noise of the rest is no small share of all: it was
+    taken for one, no test ray was traced against it, and a bake traced rays for ever."""
+    course = Course(furnished(4), Settings(error=0.02, pilot_rays=4), LocalCells())
+    run(course.transport())
+    run(course.pilot())
+    points, light = course.points, course._light()
+    free, inside = points.position[:, 2] > 0.3, points.position[:, 2] > 0.6
+    points = replace(points, smooth=inside)
+    power, variance = points.area * (light.total**2).sum(axis=0), np.where(inside, 9.0, 1.0)
+    shares = [(points.area * variance)[part].sum() / power[part].sum() for part in (free, free & inside)]
+    assert shares[1] > shares[0]
+    assert share_of_light(variance, points, light, free) == pytest.approx(shares[1])
+    assert share_of_light(10 - variance, points, light, free) == pytest.approx(
+        (points.area * (10 - variance))[free].sum() / power[free].sum()
+    )
+    dark = replace(light, direct=np.where(inside, 0.0, light.direct), indirect=np.where(inside, 0.0, light.indirect))
+    assert share_of_light(variance, points, dark, inside) == 0
+    noise = course.gathering.direct_noise()
+    course.gathering.gathered.closest[:] = np.where(free, 1.0, 0.0) * course.scene.diagonal
+    assert 0 < course._direct_noise() == share_of_light(noise, course.points, light, free)
+
+
+def test_a_bake_that_comes_no_nearer_ends(monkeypatch):
+    monkeypatch.setattr("cell_radiosity.core.course.rays_wanted", lambda *_: 8)
+    course = Course(furnished(2), Settings(error=0.02, pilot_rays=4), LocalCells())
+    run(through(course))
+    assert len(course.gathering.gathered.replicates) == MOST_REPLICATES
 
 
 def timed(seconds, monkeypatch):
