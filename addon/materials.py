@@ -13,6 +13,7 @@ import numpy as np
 
 from ..core.scene import Material
 
+DEEPEST = 100  # shaders that lead to one another are followed here; Cycles follows longer chains
 GLOSS_SHARE = 0.25  # gloss is named when it is more than this share of what a surface reflects
 METAL = 0.95  # a metal's reflectance as a share of its base color, after the losses of a rough microfacet surface
 LAYER_NAMES = ("Radiosity", "Lighting", "Direct", "Indirect", "Occlusion", "RadiosityError")
@@ -60,6 +61,18 @@ class Graph:
 
     def __init__(self):
         self.notes, self.texture, self.cut = [], None, None
+        self._known, self._depth = {}, 0
+
+    def follow(self, node, read):
+        """What `read` makes of a shader node and the graph, once: nodes that many lead to are not read for each of them, which
+        would double with every mix of one with itself."""
+        if node.name not in self._known:
+            if self._depth >= DEEPEST:
+                raise NotConstant(f"more than {DEEPEST} shaders in a row")
+            self._depth += 1
+            self._known[node.name] = read(node, self)
+            self._depth -= 1
+        return self._known[node.name]
 
     def use(self, texture):
         if self.texture not in (None, texture):
@@ -139,9 +152,10 @@ def _may_pass(node):
 
 def _shown_alpha(socket, graph):
     """Alpha of a shader socket: of a Principled BSDF, and of mixes with a Transparent BSDF."""
-    node = socket.links[0].from_node if socket.is_linked else None
-    if node is None:
-        return 1.0
+    return graph.follow(socket.links[0].from_node, _node_alpha) if socket.is_linked else 1.0
+
+
+def _node_alpha(node, graph):
     if node.type == "REROUTE":
         return _shown_alpha(node.inputs[0], graph)
     if node.type == "BSDF_PRINCIPLED":
@@ -236,7 +250,7 @@ def _shader(socket, graph):
     node = socket.links[0].from_node
     if node.type not in SHADERS:
         raise NotConstant(node.bl_label)
-    return SHADERS[node.type](node, graph)
+    return graph.follow(node, SHADERS[node.type])
 
 
 def _principled(node, graph):
@@ -370,6 +384,12 @@ def _image(socket, parts=("Color",)):
     if feed.type == "TEX_COORD" and vector.links[0].from_socket.name == "UV":
         return Picture(node.image, "", part)
     return None
+
+
+def unread_images(tree):
+    """The images that nodes of a tree show and that cannot be read."""
+    shown = {n.image for n in tree.nodes if n.type in {"TEX_IMAGE", "TEX_ENVIRONMENT"} and n.image} if tree else ()
+    return sorted((image for image in shown if not all(image.size)), key=lambda image: image.name)
 
 
 def read_pixels(picture, largest=1024):

@@ -21,6 +21,7 @@ from .cycles_read import CannotRead, Unread, read_with_cycles
 from .lamps import read_lamp, read_visibility
 from .marks import originals_shown, stand_ins
 from .material_setup import passed_by
+from .materials import node_tree, unread_images
 from .shapes import Reader, mirrored
 from .steps import aside, in_steps
 from .world_read import read_world
@@ -94,7 +95,10 @@ def _reading(context, wanted, shared, spacing, step):
         own = orders[k], shape.corner_vertex, len(shape.vertices)
         targets.append(Target(original.name, original.session_uid, corner[k], corner[k + 1], *own, same))
     findings = [*_hidden(scene, depsgraph, rendered), *_only_instances(placed, wanted)]
-    world, suns = read_world(context, scene.world and scene.world.original, reader.ignored)
+    sky = scene.world and scene.world.original
+    world, suns = read_world(context, sky, reader.ignored)
+    for image in unread_images(sky and node_tree(sky)):
+        reader.name_unread(image, sky.name)
     yield
     joined = yield from aside(
         step, join_meshes, meshes, reader.materials, lamps + list(suns), world, written, scene.name,

@@ -15,7 +15,7 @@ from ..core.health import Finding
 from ..core.scene import Mesh
 from ..core.surfaces import Texture
 from .marks import is_made, shown_for
-from .materials import NotConstant, read_alpha, read_material, read_pixels, viewport_material
+from .materials import NotConstant, node_tree, read_alpha, read_material, read_pixels, unread_images, viewport_material
 
 NAMED = 3  # objects by name where more have the same material
 
@@ -215,6 +215,8 @@ class Reader:
                 alpha, cut = read_alpha(material, left_out)
                 read = replace(read, alpha=alpha)
                 self.unread.add(number)
+                for image in unread_images(node_tree(material)):
+                    self.name_unread(image, object)
             if texture is not None:
                 read = replace(read, texture=self._texture(texture, object))
             if cut is not None:
@@ -244,11 +246,15 @@ class Reader:
         if key not in self._images:
             self._images[key] = len(self.textures)
             if not all(picture.image.size):
-                text = f"its image {picture.image.name} cannot be read: {picture.image.filepath or 'no file'}"
-                finding = Finding(object, text, "magenta was taken in its place, as Cycles does")
-                self.health += [] if finding in self.health else [finding]
+                self.name_unread(picture.image, object)
             self.textures.append(Texture(picture.image.name, read_pixels(picture)))
         return self._images[key]
+
+    def name_unread(self, image, name):
+        """Name an image that cannot be read, and what shows it, once."""
+        text = f"its image {image.name} cannot be read: {image.filepath or 'no file'}"
+        finding = Finding(name, text, "magenta was taken in its place, as Cycles does")
+        self.health += [] if finding in self.health else [finding]
 
 
 def _shape_key(object):

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 bpy = pytest.importorskip("bpy")
+from cell_radiosity.addon import materials  # noqa: E402
 from cell_radiosity.addon.read_scene import read_scene  # noqa: E402
 from cell_radiosity.core.patches import make_patches  # noqa: E402
+from cell_radiosity.core.scene import World  # noqa: E402
 from cell_radiosity.core.surfaces import make_surfaces  # noqa: E402
 
 from blender_scenes import bake_ours, colors, diffuse, empty, glowing, lamp, plane, use_nodes  # noqa: E402
@@ -174,6 +176,58 @@ def test_an_image_that_cannot_be_read_is_named():
     assert finding.object == "plane"
     assert finding.finding == "its image gone cannot be read: //gone.png"
     np.testing.assert_allclose(we_say()[0], cycles_says("DIFFUSE"), atol=0.01)
+
+
+def test_an_image_that_only_cycles_would_read_is_named_too(monkeypatch):
+    """That of a lit screen, and that of the sky."""
+    monkeypatch.setattr("cell_radiosity.addon.read_scene.read_world", lambda *_: (World(), ()))  # which takes seconds
+    empty()
+    image = bpy.data.images.new("gone", 4, 4)
+    image.source, image.filepath = "FILE", "//gone.png"
+    made = glowing("screen", (1, 1, 1), 1.0)
+    world = bpy.context.scene.world = bpy.data.worlds.new("studio")
+    world.use_nodes = True
+    for tree, kind in ((made.node_tree, "EMISSION"), (world.node_tree, "BACKGROUND")):
+        node = tree.nodes.new("ShaderNodeTexImage" if kind == "EMISSION" else "ShaderNodeTexEnvironment")
+        node.image = image
+        tree.links.new(node.outputs["Color"], next(n for n in tree.nodes if n.type == kind).inputs["Color"])
+    add_uv(plane("plane", material=made))
+    bpy.context.view_layer.update()
+    found = {(f.object, f.finding) for f in read_scene(bpy.context)[0].health}
+    assert found == {(name, "its image gone cannot be read: //gone.png") for name in ("plane", "studio")}
+
+
+def chained(made, count, inputs=(1, 2)):
+    """A material whose shader is mixed with itself so many times, or by one of the inputs with nothing."""
+    tree = made.node_tree
+    output = next(n for n in tree.nodes if n.type == "OUTPUT_MATERIAL")
+    shader = output.inputs["Surface"].links[0].from_socket
+    for _ in range(count):
+        mix = tree.nodes.new("ShaderNodeMixShader")
+        for k in inputs:
+            tree.links.new(shader, mix.inputs[k])
+        shader = mix.outputs[0]
+    tree.links.new(shader, output.inputs["Surface"])
+    return made
+
+
+def test_a_shader_that_many_lead_to_is_read_once(monkeypatch):
+    """Read for each way to it, one behind 50 mixes took for ever."""
+    read, (kind, own) = [], ("BSDF_DIFFUSE", materials.SHADERS["BSDF_DIFFUSE"])
+    monkeypatch.setitem(materials.SHADERS, kind, lambda *given: read.append(1) or own(*given))
+    empty()
+    made = chained(diffuse("mixed", (0.2, 0.4, 0.6)), 10)
+    np.testing.assert_allclose(materials.read_material(made, [])[0].reflectance, (0.2, 0.4, 0.6))
+    assert len(read) == 1
+
+
+def test_a_long_chain_of_shaders_is_left_to_cycles():
+    """Python follows no more than a few hundred of them: a whole scene could not be read."""
+    empty()
+    made = chained(diffuse("long", (0.2, 0.4, 0.6)), 400, [1])
+    with pytest.raises(materials.NotConstant):  # and Cycles is asked
+        materials.read_material(made, [])
+    assert materials.read_alpha(made, []) == (1.0, None)
 
 
 def gradient_image():
