@@ -55,6 +55,7 @@ class Bake:
     seconds: by phase, and CPU seconds. rays: cast in all. cells: what they used.
     groups: light groups, if they were asked for. by_group: a Light with a channel for each group's.
     factors: (G, 3) by which the groups' strengths were changed, None for none.
+    seen: (P,) bool, points that count in the error: on what reflects light.
     openness: (P,) 1 less ambient occlusion, if it was asked for.
     state(): the State, to carry it on from.
     """
@@ -76,5 +77,6 @@ class Bake:
     groups: Groups | None = None
     by_group: Light | None = None
     openness: np.ndarray | None = None
+    seen: np.ndarray | None = None
     factors: np.ndarray | None = None
     state: Callable | None = field(default=None, repr=False, compare=False)

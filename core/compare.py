@@ -59,11 +59,12 @@ def parts_off_reference(bake, reference):
 
 
 def parts_off_finer(bake, finer):
-    """The parts, see `of_all`, of a Bake against a finer one at the same points."""
+    """The parts, see `of_all`, of a Bake against a finer one at the same points, those that count in the error."""
     points, light, truth = bake.points, bake.light.total, finer.light.total
+    area = points.area if bake.seen is None else points.area * bake.seen
     count = len(bake.scene.objects)
     sums = ((light - truth) ** 2).sum(axis=0), (truth**2).sum(axis=0), np.ones(len(points))
-    sums = (np.bincount(points.object, points.area * of, count) for of in sums)
+    sums = (np.bincount(points.object, area * of, count) for of in sums)
     return {name: part for name, *part in zip(bake.scene.objects, *sums)}
 
 

@@ -63,7 +63,7 @@ from .settings import Settings
 from .sky import split_sky
 from .state import State, scene_prints
 from .steep import make_fine_patches
-from .surfaces import make_surfaces, reflects
+from .surfaces import make_surfaces, reflecting_polygons, reflects
 
 ROUGH_RAYS = 32  # of a point, to tell where a mesh must be finer
 # So many times shorter are patches where the usual ones alone keep a bake from its error: the first that makes as many
@@ -233,7 +233,7 @@ class Course:
             each = self.settings.per_object
             count = control_count(len(np.unique(self.points.object)) if each else 0)
             yield from self._smooth()
-            drawn = draw_control(self.points, self._light(), self._tight(), count, each)
+            drawn = draw_control(self._counted(), self._light(), self._tight(), count, each)
             traced = Traced(rounds=self._known.traced.rounds) if self._known and self._known.traced else None
             self.control = self._control(drawn, traced)
         yield from self.look()
@@ -292,7 +292,21 @@ class Course:
 
     def _direct_noise(self):
         """Square of the noise of direct light, as a share of all light."""
-        return share_of_light(self.gathering.direct_noise(), self.points, self._light(), self._free)
+        return share_of_light(self.gathering.direct_noise(), self._counted(), self._light(), self._free)
+
+    @cached_property
+    def _reflecting(self):
+        return reflecting_polygons(self.scene)
+
+    def _seen(self):
+        """(P,) bool, points on what reflects light, or lets it through; all, if none is."""
+        seen = self._reflecting[self.patches.polygon[self.side >> 1]] | (self.side < 0)
+        return seen if seen.any() else ~seen
+
+    def _counted(self):
+        """The Points, without area where they do not count in the error, as on lamps that only glow: nobody sees what arrives
+        there. Between a tube and its tray a few centimeters above it that may be half of all, on a 250th of the area."""
+        return replace(self.points, area=np.where(self._seen(), self.points.area, 0.0))
 
     @property
     def _free(self):
@@ -379,7 +393,7 @@ class Course:
         yield from each(self.gathering.smoothing(self.scene.diagonal), lambda _: self._of_control(0.0))
 
     def _estimate(self, more=0.0):
-        self.estimate = estimate_error(self.points, self._light(), self.control, self._free, self._bound(), more)
+        self.estimate = estimate_error(self._counted(), self._light(), self.control, self._free, self._bound(), more)
 
     def _bound(self):
         """The certified bound of the transport that the replicates have read, of all together."""
@@ -474,6 +488,7 @@ class Course:
             groups=self.groups,
             by_group=by_group if self.groups else None,
             openness=self.openness,
+            seen=self._seen(),
             state=self.state,
         )
 
@@ -568,7 +583,7 @@ class Course:
     def _average(self, average):
         """Find the light of whole surfaces around points, at so many places that it is not what keeps the bake from its
         error; see `bake`. What was decided on the way knows nothing of it."""
-        while places := places_wanted(self.averaged, self.points, self._light(), self.settings.error):
+        while places := places_wanted(self.averaged, self._counted(), self._light(), self.settings.error):
             light = self.gathering.light(self.scene.diagonal)
             averaging = average(self.points, light, self.cells, self.settings.seed, places)
             found = yield from each(averaging, lambda done: self._of_points(*done))

@@ -167,7 +167,9 @@ def _error(bake):
             estimated=found.total, interior=found.interior, sampling=found.sampling, patches=found.patches,
             worst=worst and dict(object=bake.scene.objects[worst[0]], error=worst[1]),
         )  # fmt: skip
-    return {"requested": bake.settings.error, **error, "solve": found.solve if found else bound, "floor": bake.floor}
+    timed = bake.settings.seconds is not None  # then no error was asked for
+    asked = dict(requested=None if timed else bake.settings.error, floor=None if timed else bake.floor)
+    return {**asked, **error, "solve": found.solve if found else bound}
 
 
 def _objects(bake):

@@ -129,6 +129,18 @@ def reflects(scene):
     return scene.readings is not None or any(any(s) or m.texture is not None for s, m in zip(shades, scene.materials))
 
 
+def reflecting_polygons(scene):
+    """(P,) bool, polygons that may reflect light, or let it through."""
+    textured = np.array([m.texture is not None for m in scene.materials])
+    shades = _of_materials(scene, "reflectance") + _of_materials(scene, "translucency")
+    found = (shades.any(axis=1) | textured)[scene.polygon_material]
+    if scene.readings is not None:
+        read = scene.triangle_polygon[scene.readings.triangle]
+        found[read] = False
+        found[read[(scene.readings.reflectance > 0).any(axis=1)]] = True
+    return found
+
+
 def corner_surfaces(scene, corner):
     """Reflectance and exitance (K, 3) at corners (K,) of the scene."""
     polygon = np.repeat(np.arange(len(scene.polygon_material)), np.diff(scene.polygon_start))[corner]

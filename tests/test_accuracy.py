@@ -33,6 +33,7 @@ from cell_radiosity.core.course import MOST_REPLICATES, Course
 from cell_radiosity.core.effects import Survey
 from cell_radiosity.core.prices import AGAIN, Pilot, price_list, rays_more, replicate_seconds, transport_prices
 from cell_radiosity.core.replicates import Light
+from cell_radiosity.core.surfaces import Readings, reflecting_polygons
 
 from scenes import Lamp, Material, Settings, bake, box, join_meshes, run, sheet
 
@@ -230,7 +231,7 @@ def test_direct_noise_counts_as_the_error_does():
     assert share_of_light(variance, points, dark, inside) == 0
     noise = course.gathering.direct_noise()
     course.gathering.gathered.closest[:] = np.where(free, 1.0, 0.0) * course.scene.diagonal
-    assert 0 < course._direct_noise() == share_of_light(noise, course.points, light, free)
+    assert 0 < course._direct_noise() == share_of_light(noise, course._counted(), light, free)
 
 
 def test_a_bake_that_comes_no_nearer_ends(monkeypatch):
@@ -428,3 +429,43 @@ def test_nothing_is_traced_anew_where_rays_bring_nothing(monkeypatch):
     found = run(bake(room, Settings(error=0.02), LocalCells()))
     assert found.converged
     assert found.light.total.sum() > 0
+
+
+def test_points_on_what_reflects_nothing_do_not_count():
+    """Nobody sees what arrives on a lamp that only glows: no control point lies there, and however wrong it is, the error
+    is the same. Where nothing reflects, all points count."""
+    course = Course(furnished(4), Settings(error=0.02, pilot_rays=4), LocalCells())
+    run(course.transport())
+    run(course.pilot())
+    lamp, before = course.scene.objects.index("panel"), course.estimate
+    glowing = course.points.object == lamp
+    assert np.array_equal(~glowing, course._seen())
+    assert not glowing[course.control.ids].any()
+    assert np.flatnonzero(np.isnan(before.objects)).tolist() == [lamp]
+    for number, replicate in enumerate(course.gathering.gathered.replicates):
+        replicate.reflected[:, glowing] += 1e3 * (1 + number)
+    course.gathering._taken = None
+    course._estimate()
+    assert (course._light().total[:, glowing] > 100).all()
+    assert course.estimate.total == before.total
+    assert course.estimate.interior == before.interior
+    assert np.array_equal(course.result().seen, ~glowing)
+
+    black = replace(course.scene, materials=tuple(replace(m, reflectance=(0.0,) * 3) for m in course.scene.materials))
+    found = run(bake(black, Settings(error=0.02, pilot_rays=4), LocalCells()))
+    assert found.seen.all()
+    assert not np.isnan(found.estimate.objects).all()
+
+
+def test_which_polygons_reflect():
+    """Those whose material reflects, lets through, or has an image; of what was read, those where any place reflects."""
+    plain = dict(exitance=(1.0,) * 3)
+    materials = [Material("glow", (0, 0, 0), **plain), Material("dim", (0, 0, 0.01)),
+                 Material("veil", (0, 0, 0), translucency=(0.1,) * 3), Material("image", (0, 0, 0), texture=0)]  # fmt: skip
+    sheets = [sheet(m.name, [(0, 0, k), (1, 0, k), (1, 1, k), (0, 1, k)], material=k) for k, m in enumerate(materials)]
+    scene = join_meshes(sheets, materials)
+    assert reflecting_polygons(scene).tolist() == [False, True, True, True]
+    triangle = np.flatnonzero(np.isin(scene.triangle_polygon, (0, 1)))
+    color = np.where(scene.triangle_polygon[triangle, None] == 0, [0.0, 0.2, 0.0], 0.0)
+    read = Readings(triangle, np.full((len(triangle), 2), 0.3), color, 0 * color, triangle[:0], color[:0], color[:0])
+    assert reflecting_polygons(replace(scene, readings=read)).tolist() == [True, False, True, True]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -97,3 +99,14 @@ def test_objects_off_a_finer_bake(baked):
     each = of_objects(parts_off_finer(baked, finer))
     assert set(each) == {"floor", "block"}  # the wall was not written
     assert min(each.values()) < off_finer(baked, finer) < max(each.values())
+
+
+def test_what_reflects_nothing_does_not_count_against_a_finer_bake(baked):
+    """A lamp that only glows may be as wrong as it will; where all points count, as in bakes of which nothing else is known,
+    it does."""
+    points, light = baked.points, baked.light
+    block = points.object == baked.scene.objects.index("block")
+    wrong = replace(baked, light=replace(light, direct=light.direct + 9.0 * block), seen=~block)
+    assert off_finer(wrong, baked) == 0
+    assert "block" not in of_objects(parts_off_finer(wrong, baked))
+    assert off_finer(replace(wrong, seen=None), baked) > 0.9

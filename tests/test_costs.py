@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -122,6 +123,13 @@ def test_nothing_is_said_of_what_nothing_is_known_of():
     assert all(0 < cost[name] < baked.seconds["cpu"] for name in ("occlusion", "lamps", "interreflection"))
     report = make_report(baked, scene="", version="", layers=(), domain="corner", start=0.0, read=0.0, write=0.0)
     assert {e["name"]: e["seconds"] if e["needed"] else None for e in report["effects"]} == cost
+    assert report["error"]["requested"] == baked.settings.error
+    assert report["error"]["floor"] == baked.floor
+    in_time = replace(baked, settings=replace(baked.settings, seconds=9.0))  # for which nobody asked for an error
+    error = make_report(in_time, scene="", version="", layers=(), domain="corner", start=0.0, read=0.0, write=0.0)[
+        "error"
+    ]
+    assert error == report["error"] | {"requested": None, "floor": None}
     assert all(e["estimated"] != e["needed"] for e in report["effects"] if e["seconds"] is not None)
     assert all(e["seconds"] is not None for e in report["effects"] if not e["needed"])
 

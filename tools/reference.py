@@ -3,7 +3,7 @@
     python tools/reference.py SCENE.blend OUT.npz [--samples 1024] [--bounces 32]
 
 OUT.npz holds for each mesh object NAME, at its n vertices: NAME.A (n,) area [m^2]; NAME.mask (n,) bool, interior
-vertices: not on a crease or an open edge, with nothing else within 1e-3 of the scene's diagonal; NAME.EA and NAME.EB
+vertices: not on a crease or an open edge, with nothing else within 1e-3 of the scene's diagonal, nor on what reflects nothing; NAME.EA and NAME.EB
 (n, 3) irradiance / pi from two bakes with other seeds, so that their noise cancels from a measured error.
 Objects that reflect nothing are left out: Cycles bakes 0 there.
 """
@@ -21,6 +21,7 @@ from cell_radiosity.core.layers import vertex_means
 from cell_radiosity.core.raycast import RayCaster
 from cell_radiosity.core.sampling import hemisphere, lattice, tangents
 from cell_radiosity.core.scene import newell_normals
+from cell_radiosity.core.surfaces import reflecting_polygons
 
 NEAR = 1e-3  # of the scene's diagonal
 FLAT = 0.9  # least cosine between the faces at a vertex that is not on a crease
@@ -84,7 +85,9 @@ def vertex_facts(scene):
             )
             own = (scene.triangles[triangle] == np.arange(count)[:, None]).any(axis=1)
             crowded |= (triangle >= 0) & (distance < NEAR) & ~own
-    return np.bincount(vertex, (area / size)[polygon], count), (bend > FLAT) & ~rim & ~crowded
+    glowing = np.zeros(count, bool)
+    glowing[vertex[~reflecting_polygons(scene)[polygon]]] = True
+    return np.bincount(vertex, (area / size)[polygon], count), (bend > FLAT) & ~rim & ~crowded & ~glowing
 
 
 def baked_light(bakes, name):
