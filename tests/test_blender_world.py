@@ -77,9 +77,10 @@ WORLDS = {
     "light path": lit_apart_from_seen,
 }
 SUNNY = ("sky", "image with a sun")  # whose direct light is looked at by itself
+PLAIN = ("sky without a sun", "image")  # parts of what the others are
 
 
-@pytest.mark.parametrize("name", WORLDS)
+@pytest.mark.parametrize("name", [pytest.param(w, marks=pytest.mark.heavy if w in PLAIN else []) for w in WORLDS])
 def test_world_like_cycles(cells, name):
     """A floor, a block above it and a wall: direct light and all light, in every channel."""
     empty()
