@@ -320,6 +320,8 @@ GERMAN = {
     "only {} of {} cells fit into the memory that may be used; the work was done in this process": "nur {} von {} Zellen passen in den erlaubten Speicher; dieser Prozess tat die Arbeit selbst",
     "rows of {} rays for {} patches do not fit": "Zeilen von {} Strahlen für {} Patches passen nicht hinein",
     "they have {}: the light of patches has more noise, which more --memory would take away": "sie haben {}: das Licht der Patches rauscht mehr, was mehr Speicher behöbe",
+    "this process takes {} MB, {} MB may be used": "dieser Prozess nimmt {} MB, erlaubt sind {} MB",
+    "no cells worked beside it; what holds the scene, and Blender, takes what it takes": "keine Zellen arbeiteten daneben; was die Szene hält, und Blender, nehmen so viel",
     "{} form-factor rows fit, there is light for more": "{} Zeilen von Formfaktoren passen hinein, Licht ist für mehr da",
     "the others were found anew whenever light came back to them; more --memory would keep them": "die anderen wurden neu bestimmt, sooft Licht zu ihnen zurückkam; mehr Speicher würde sie behalten",
     "those of the state are longer, or their rows shorter, than {} % asks for": "die des Standes sind länger oder ihre Zeilen kürzer, als {} % verlangt",

@@ -25,6 +25,7 @@ from .accuracy import (
 from .averages import Averages, places_wanted
 from .baked import Bake, Progress
 from .budget import cells_within
+from .cells import memory_now
 from .choices import (
     bounces_deeper,
     control_count,
@@ -528,7 +529,7 @@ class Course:
             )
 
     def _memory_findings(self, solution):
-        """A Finding if memory did not hold the rows that the error asks for."""
+        """Findings if memory did not hold the rows that the error asks for, or not even the host."""
         settings, rows = self.settings, solution.rows
         if settings.row_rays < self._row_rays:
             yield Finding(
@@ -541,6 +542,12 @@ class Course:
                 "memory",
                 f"{len(rows.sides)} form-factor rows fit, there is light for more",
                 "the others were found anew whenever light came back to them; more --memory would keep them",
+            )
+        if (now := memory_now()) > 1e-6 * settings.memory:
+            yield Finding(
+                "memory",
+                f"this process takes {now:.0f} MB, {1e-6 * settings.memory:.0f} MB may be used",
+                "no cells worked beside it; what holds the scene, and Blender, takes what it takes",
             )
 
     def state(self):

@@ -184,7 +184,8 @@ class Transport:
 
             start, largest = irradiance[:, sides], surfaces.returned[:, sides]
             values, sweeps, bound = fixed_point(update, start, largest, self.area[sides], target, self.island[sides])
-            irradiance[:, sides] = self.gathered[:, sides] = values
+            # Where next to nothing arrives, what is still in the way of the bound may be less than nothing.
+            irradiance[:, sides] = self.gathered[:, sides] = np.maximum(values, 0.0)
         return self._shot(irradiance), sweeps, bound
 
     def _shot(self, irradiance):

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from cell_radiosity.core import transport
 from cell_radiosity.core.cells import LocalCells
+from cell_radiosity.core.course import Course
 from cell_radiosity.core.host import LEAST_ROW, ROWS_SHARE, rays_that_fit, solve
 from cell_radiosity.core.kept import ENDLESS, RayRows
 from cell_radiosity.core.kernel import scene_arrays
@@ -15,7 +18,7 @@ from cell_radiosity.core.patches import make_patches
 from cell_radiosity.core.surfaces import Surfaces, make_surfaces
 from cell_radiosity.core.transport import Transport, fixed_point
 
-from scenes import Lamp, Material, Settings, World, box, join_meshes, run, sheet
+from scenes import Lamp, Material, Settings, World, box, icosphere, join_meshes, run, sheet
 
 RAYS = 32
 
@@ -263,6 +266,19 @@ def test_fixed_point_keeps_its_bound(rng, largest):
         assert error <= bound * (1 + 1e-6) + 1e-12
         assert bound <= target
         assert count < 60
+
+
+def test_next_to_no_light_is_not_less_than_none():
+    """Into balls that pass through one another next to nothing leaks, and the solve ends before it knows how much: a bake that
+    was broken off then showed it as light below 0."""
+    balls = [icosphere(f"ball {k}", 0.25, 1, False) for k in range(20)]
+    balls = [replace(ball, vertices=ball.vertices + (0.4 * k, 0, 0)) for k, ball in enumerate(balls)]
+    floor = sheet("floor", [(-1, -1, -0.5), (9, -1, -0.5), (9, 1, -0.5), (-1, 1, -0.5)], 8, 8)
+    scene = join_meshes([floor, *balls], [Material("gray", (0.7,) * 3)], [Lamp("point", (5.0,) * 3, (0, 0, 1.5))])
+    course = Course(scene, Settings.for_error(0.05), LocalCells())
+    found = [progress.take and course._round.solution() for progress in course.transport()]
+    assert len(found) > 3
+    assert all((solution.irradiance >= 0).all() for solution in (course.solution, *filter(None, found)))
 
 
 def test_nothing_gives_light():
