@@ -28,6 +28,8 @@ CERTAIN = 2.0  # and those that must be, before rays are spent against it
 SMALL = 0.4  # noise of this share of what replicates share is as good as none
 MOST_RAYS = 4096  # of one replicate
 WORTH = 0.3  # of the rays so far: fewer in another replicate would not be worth another look
+MANY_RAYS = 1024  # of a point: whoever has so many, and wants more, is asked whether they are of use
+THIRD = 1 / 3  # of the rays, after which noise must have fallen since
 STEPS_OF_RAYS = (8, 16, 32, 64, 128, 256, 512, 1024)  # of a replicate at some objects
 TESTED = 0.05  # of the square of the noise that is allowed may be that of direct light
 FEWEST_TESTED = 8  # rays of a replicate go with test rays, if any do
@@ -158,6 +160,24 @@ def rays_wanted(estimate, rays, error):
     return min(
         wanted.start + bisect_left(wanted, -goal, key=lambda n: -noise_after(estimate.noise, rays, n)), MOST_RAYS
     )
+
+
+def stalls(rays, noise):
+    """Whether more rays are of no use: with three times as many the noise is about what it was, and so it was before. Once it may be
+    that rare bright light was met for the first time; that falls. rays: (K,) of a point after each replicate; noise: function
+    that returns the noise after the first so many of them."""
+    count = len(rays)
+    if not count or rays[-1] < MANY_RAYS:
+        return False
+    for _ in range(2):
+        before = int(np.searchsorted(rays, THIRD * rays[count - 1], side="right"))
+        if before < 2:  # of one alone nothing is known
+            return False
+        # By chance it falls with the power 0.5 of the rays, and with lattice and filter with 0.69: half of that is too little.
+        if noise(count) <= noise(before) * np.sqrt(np.sqrt(rays[before - 1] / rays[count - 1])):
+            return False
+        count = before
+    return True
 
 
 def noise_wanted(estimate, error):

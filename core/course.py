@@ -21,6 +21,7 @@ from .accuracy import (
     rays_tested,
     rays_wanted,
     share_of_light,
+    stalls,
 )
 from .averages import Averages, places_wanted
 from .baked import Bake, Progress
@@ -97,6 +98,7 @@ class Course:
         self.solution = self.points = self.side = self.gathering = self.control = self.estimate = None
         self.openness = self.averaged = None
         self._places, self._round, self._solved = None, None, settings.error
+        self._stalled = 0, False  # by so many replicates
         self._bounds, self._doubt, self.price = [], inf, state.price if state else ()
         self._before = state.seconds if state else {}
         self._gather_seconds, self._gather_rays = 0.0, 0
@@ -146,7 +148,7 @@ class Course:
         before, *counts = count_patches(self.scene, [patch_size(self.scene, s) for s in (usual, *finer)])
         self.settings = next((s for s, count in zip(finer, counts) if count > FINER[0] * before), finer[0])
         self._known = self.solution = self.gathering = self.control = self.estimate = self._round = None
-        self._solved, self._bounds, self._doubt = self.settings.error, [], inf
+        self._solved, self._bounds, self._doubt, self._stalled = self.settings.error, [], inf, (0, False)
 
     def lay(self):
         """Patches, and what they do with light."""
@@ -431,7 +433,7 @@ class Course:
         settings = self.settings
         if not settings.per_object or self.estimate is None or self._timed or settings.gather_rays is not None:
             return []
-        if len(self.gathering.gathered.replicates) >= MOST_REPLICATES:
+        if len(self.gathering.gathered.replicates) >= MOST_REPLICATES or self._stalls():
             return []
         owner, so_far = self.points.object, np.zeros(len(self.estimate.objects))
         np.maximum.at(so_far, owner, self.gathering.rays)
@@ -452,9 +454,25 @@ class Course:
             return min(rays, MOST_RAYS) if rays >= PILOT * self.settings.pilot_rays else 0
         if self._coarse and self.estimate.averaged >= self.settings.error:
             return 0
-        if len(self.gathering.gathered.replicates) >= MOST_REPLICATES:
+        if len(self.gathering.gathered.replicates) >= MOST_REPLICATES or self._stalls():
             return 0
         return rays_wanted(self.estimate, so_far, self.settings.error)
+
+    def _stalls(self):
+        """Whether noise does not fall, however many rays there are, in replicates of all points."""
+        whole = [r for r in self.gathering.gathered.replicates if r.asked.all()]
+        if self._stalled[0] != len(whole):
+            rays = np.cumsum([r.rays for r in whole])
+            self._stalled = len(whole), stalls(rays, lambda count: self._noise_of(whole[:count]))
+        return self._stalled[1]
+
+    def _noise_of(self, replicates):
+        """The noise of some replicates, with the filter's blur."""
+        light = self.gathering.of(replicates).light(self.scene.diagonal)
+        light = weighted(light, self.groups) if self.groups else light
+        return sqrt(
+            max(share_of_light(light.variance.sum(axis=0) + light.blurred, self._counted(), light, self._free), 0.0)
+        )
 
     def result(self, solution=None):
         """The Bake as it stands; solution: of a transport that is not at its end."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import deque
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from hashlib import blake2b
 from time import thread_time
 
@@ -175,6 +175,11 @@ class Gathering:
             own = [r.part(part) for r in self.gathered.replicates]
             variance[part] = direct_variance(own, mean_of(own, "direct"), self._groups).sum(axis=0)
         return variance
+
+    def of(self, replicates):
+        """A Gathering of some of the replicates alone."""
+        own = replace(self.gathered, replicates=replicates)
+        return Gathering(self.points, self._shape[0], self._start, self.cells, self.settings, self._groups, own)
 
     def light(self, diagonal):
         """The Light so far, filtered; diagonal: of the scene [m]. See `mean_light`."""

@@ -24,6 +24,7 @@ from cell_radiosity.core.accuracy import (
     rays_tested,
     rays_wanted,
     share_of_light,
+    stalls,
 )
 from cell_radiosity.core.bake import price, through
 from cell_radiosity.core.cells import LocalCells
@@ -239,6 +240,38 @@ def test_a_bake_that_comes_no_nearer_ends(monkeypatch):
     course = Course(furnished(2), Settings(error=0.02, pilot_rays=4), LocalCells())
     run(through(course))
     assert len(course.gathering.gathered.replicates) == MOST_REPLICATES
+
+
+def test_rays_that_are_of_no_use():
+    """Noise that is what it was with a third of the rays, and with a ninth, will not fall: 40 replicates were gathered where
+    the filter had smeared light from corners, which do not count, over the little that does."""
+    rays = np.array([100, 300, 900, 5000, 9000, 13000, 17000])
+    plain, flat = lambda count: 1 / np.sqrt(rays[count - 1]), lambda count: 1.0
+    assert stalls(rays, flat)
+    assert not stalls(rays, plain)
+    assert not stalls(rays / 20, flat)  # that is not much to try
+    assert not stalls(rays[2:5], flat)
+    assert not stalls(rays[:0], flat)
+    for end in range(5, 8):  # bright light was met for the first time among the last
+        assert not stalls(rays[:end], lambda count: (10 if count > 3 else 1) * plain(count))
+
+
+def test_a_bake_whose_noise_does_not_fall_ends(monkeypatch):
+    monkeypatch.setattr("cell_radiosity.core.course.rays_wanted", lambda *_: 400)
+    monkeypatch.setattr(Course, "_noise_of", lambda self, replicates: 1.0)
+    course = Course(furnished(2), Settings(error=0.02, pilot_rays=4), LocalCells())
+    run(through(course))
+    found = [r.rays for r in course.gathering.gathered.replicates]
+    assert found[2:] == [400] * 4  # a third of 1608 is 408, and a third of that the pilot's
+
+
+def test_noise_of_some_replicates_is_that_of_a_bake_of_them():
+    course = Course(furnished(4), Settings(error=0.02, pilot_rays=16, gather_rays=200), LocalCells())
+    run(through(course))
+    whole = course.gathering.gathered.replicates
+    assert len(whole) == 3
+    assert course._noise_of(whole) == pytest.approx(course.estimate.noise, rel=1e-6)
+    assert course._noise_of(whole[:2]) > 1.5 * course._noise_of(whole)
 
 
 def timed(seconds, monkeypatch):
