@@ -24,6 +24,9 @@ INSET = 1e-3  # how far they start inside the patch's corners, as a share of the
 # At each height: a triangle whose normal is closer to the patch's than this lies along it, and does not cut. Rays that are
 # higher meet the next facets of a curved surface too.
 ALONG = 0.999, 0.5
+# Of the patch's length, at which further rays find what hangs close before it: hardly more light comes out behind it than
+# below a box. Patches half behind pictures 3 cm before a wall took a 25th of the reflected light of a gallery there.
+HANGS = 0.15
 PATHS = 6  # along a parallelogram
 MOST_ELEMENTS = 4  # of a cluster, from whose corners it is looked over
 TASK_PATCHES = 1 << 13
@@ -61,8 +64,10 @@ def find_contacts(kernel, ids):
         up = normal.astype(np.float32)
         start, stop = kernel.caster.place(start), kernel.caster.place(stop)
         found = blocker[part]
-        for (height, along), side in product(zip(HEIGHTS, ALONG), (1, -1)):
-            begin = start + np.float32(side * height) * up
+        size = np.sqrt(kernel.patches.area[own])[owner, None] * kernel.caster.frame[1]
+        levels = (*zip(HEIGHTS, ALONG), (np.maximum(HANGS * size, HEIGHTS[-1]).astype(np.float32), ALONG[-1]))
+        for (height, along), side in product(levels, (1, -1)):
+            begin = start + (side * height) * up
             # Whether anything is met takes a third of the time of what it is, and most meet nothing.
             met = np.flatnonzero((found[owner] < 0) & kernel.caster.blocked(begin, begin + (stop - start)))
             triangle, u, v, distance, _ = kernel.caster.hits(begin[met], (stop - start)[met])

@@ -38,9 +38,9 @@ def widest_across(gap, floor=FLOOR, faces=(WEST, EAST)):
     return max(np.minimum(high - at, at - low).max() for at in faces)
 
 
-@pytest.mark.parametrize("gap", [0.0, 2e-5, 1e-3, -0.01])
+@pytest.mark.parametrize("gap", [0.0, 2e-5, 1e-3, -0.01, 0.03])
 def test_what_stands_on_a_floor_or_a_little_above_it_cuts_it(gap):
-    """Touching, a millimeter above, and sunk: no patch is half below the wall and half beside it. The power that falls on
+    """Touching, a millimeter above, sunk, and as close before it as an eighth of a patch: no patch is half below the wall and half beside it. The power that falls on
     one would go out below the wall."""
     assert widest_across(gap) < 1e-6
 
