@@ -82,9 +82,7 @@ def estimate_error(points, light, control, free, bound, more=0.0):
     if not power.sum() > 0:
         return Estimate(objects=np.full(count, np.nan), object_noise=np.zeros(count))
     ids, weight = control.ids, control.weight
-    off = mean_product(light.total[:, ids] - control.truth, control.each)
-    blurred = points.area * light.blurred
-    shared = weight * (off - light.variance[:, ids].sum(axis=0))
+    blurred, shared = points.area * light.blurred, shared_by_replicates(light, control)
     averaged = weight * mean_product(control.patches, control.each)
 
     def parts(chosen):
@@ -113,6 +111,12 @@ def estimate_error(points, light, control, free, bound, more=0.0):
         float(np.sqrt(max(min(furthest[4], furthest[0] - furthest[1]), 0.0))),
         *_of_objects(points, power, scatter, blurred, shared - weight * light.blurred[ids], ids, total - noise),
     )
+
+
+def shared_by_replicates(light, control):
+    """(K,) square of what a Light is off by, less its noise, at the points of a traced Control, times their weights."""
+    off = mean_product(light.total[:, control.ids] - control.truth, control.each)
+    return control.weight * (off - light.variance[:, control.ids].sum(axis=0))
 
 
 def share_of_light(variance, points, light, free):

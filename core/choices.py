@@ -34,7 +34,7 @@ MOST_CONTROL_POINTS = 2000
 CONTROL_RAYS = ((0.03, 16), (0.015, 32), (0.0, 64))  # of each truth at first, from an error on
 LITTLE = 0.125  # of the light: if less than that is reflected, the errors of as much more of it are looked for
 SURE_RAYS = 64  # with so many, doubts far below the error asked for do not matter
-MOST_CONTROL_RAYS = 1024
+MOST_CONTROL_RAYS = 2048  # of few points; half as many, where they are not made few for the sake of each object
 UNSURE = 0.7  # of the square of the noise: a doubt above that asks for more control rays
 UNSURE_ABOVE = 0.15  # the same, where it decides whether the error asked for is reached
 STEP = 0.5  # times as many control rays are worth another look
@@ -157,7 +157,7 @@ def more_control(found, settings, rays, doubt, wanted):
     error = settings.error
     # A bake that would end above the error, where that may be chance, has nothing else to try, unless it was told to end.
     helped |= not wanted and settings.gather_rays is None and 0 < found.furthest**2 - error**2 < CERTAIN * found.doubt
-    if rays >= MOST_CONTROL_RAYS or found.noise > ENOUGH * error or not helped:
+    if rays >= MOST_CONTROL_RAYS // (2 if settings.per_object else 1) or found.noise > ENOUGH * error or not helped:
         return 0
     # What is cheaper comes first: to gather more, or to know better whether it must be.
     if 0 < wanted < CONTROL_COST:

@@ -21,6 +21,7 @@ from .accuracy import (
     rays_tested,
     rays_wanted,
     share_of_light,
+    shared_by_replicates,
     stalls,
 )
 from .averages import Averages, places_wanted
@@ -28,6 +29,7 @@ from .baked import Bake, Progress
 from .budget import cells_within
 from .cells import memory_now
 from .choices import (
+    SURE_RAYS,
     bounces_deeper,
     control_count,
     control_rays,
@@ -42,7 +44,7 @@ from .choices import (
 )
 from .clock import Clock
 from .contacts import cut_contacts
-from .control import Control, Traced, draw_control, tight_places
+from .control import FEW, Control, Traced, draw_control, tight_places
 from .costs import Work, with_costs
 from .effects import simplified, survey
 from .gather import Gathering, light_arrays, patch_light, sides_of
@@ -342,6 +344,7 @@ class Course:
                 rays=int(self.gathering.rays.max(initial=0)),
                 replicates=len(self.gathering.gathered.replicates),
                 control_rays=control.rays,
+                control_points=len(control.ids),
                 control_rate=self._control_seconds / max(self._control_rays, 1),
                 seconds=self._seconds(),
                 parts=self.clock.parts(),
@@ -372,18 +375,30 @@ class Course:
         # More rays where the control itself is in doubt, as long as they help; above all before rays are spent at all
         # points against what may be chance.
         while more := self._more_control():
+            if self._narrow():  # by what the rays so far have seen: as many others must have a look too
+                more = self.control.rays
             self._doubt = self.estimate.doubt * sqrt(sqrt(self.control.rays))
             yield from self._trace(self.control.trace(more))
             self._estimate()
 
+    def _narrow(self):
+        """Let the control go on with fewer points, if it has many that had their first rays, and they are not there for single
+        objects; returns whether it has had. What is off for certain differs from point to point: it takes all of them."""
+        control, many = self.control, self.control.rays >= SURE_RAYS and len(self.control.ids) > FEW
+        if self.settings.per_object or not many or self.estimate.shared > 0:
+            return False
+        control.narrow(shared_by_replicates(self._light(), control))
+        self._estimate()
+        return True
+
     def _trace(self, tracing):
         """Trace rays of the control, and count what they take."""
-        begun, before = perf_counter(), self.control.rays
+        begun, before, count = perf_counter(), self.control.rays, len(self.control.ids)
         yield self._of_control(next(tracing))
         yield from self._smooth()
         yield from each(tracing, self._of_control)
         self._control_seconds += perf_counter() - begun
-        self._control_rays += self.control.rays - before
+        self._control_rays += (self.control.rays - before) * count
 
     def _more_control(self):
         """How many more control rays are to be traced, 0 for none."""

@@ -12,6 +12,7 @@ from math import ceil, inf, sqrt
 
 from .accuracy import AIM, ENOUGH, Estimate, noise_wanted, rays_tested, rays_wanted
 from .choices import MOST_CONTROL_RAYS, UNSURE, control_rays, eased, sharpened
+from .control import FEW
 from .costs import ROWS
 from .effects import Survey
 from .patches import count_patches, patch_size
@@ -22,6 +23,7 @@ PRICED = (0.1, 0.05, 0.02, 0.01, 0.005)  # errors of the price list
 AGAIN = 2  # replicates that follow the pilot, where any do: at its next look a bake finds that there is more to do
 ANY_RAYS = 0.9  # of the seconds of a small replicate's test rays: they are spent for whatever number of rays
 PAIRS = 0.8  # of the control rays that two truths alone would need: sqrt(m / (2 m - 2)) of m truths, mostly of 4 or 6
+FEWER = 1.2  # times as many where few control points have them: their doubt is so much more
 PATCH_MB = 1e-3  # of a patch more,
 HIT_MB = 4e-5  # and of a ray of its row
 POINT_MB = 3e-5  # of a point in one more replicate
@@ -41,9 +43,9 @@ class Price:
 @dataclass(frozen=True)
 class Pilot:
     """What the pilot of a bake has found out. points, patches: their number; rays: of each so far, in so many replicates.
-    control_rays: of each truth; control_rate: seconds of one more. seconds: {phase: so far}, and "replicates", which went
-    to "rays" rays a point. parts: {part of the cells' work: CPU seconds}; solve: those of the host's own solve. direct:
-    square of the noise of direct light, as a share of all light."""
+    control_rays: of each truth, at so many control_points; control_rate: seconds of one more at one of them. seconds:
+    {phase: so far}, and "replicates", which went to "rays" rays a point. parts: {part of the cells' work: CPU seconds};
+    solve: those of the host's own solve. direct: square of the noise of direct light, as a share of all light."""
 
     scene: Scene
     settings: Settings
@@ -54,6 +56,7 @@ class Pilot:
     rays: int
     replicates: int
     control_rays: int
+    control_points: int
     control_rate: float
     seconds: dict
     parts: dict
@@ -95,15 +98,16 @@ def replicate_seconds(pilot):
 
 def control_seconds(pilot, error):
     """Seconds that the control will take more, if an error is to be known that is not there: its doubt falls with its
-    rays."""
+    rays. The first that an error calls for go from all control points, others from few."""
     if pilot.estimate.furthest <= ENOUGH * error and error >= pilot.settings.error:
         return 0.0
     have = pilot.control_rays
     wanted = have * pilot.estimate.doubt / (UNSURE * (AIM * error) ** 2)
-    rays = max(
-        have, control_rays(replace(pilot.settings, error=error), pilot.survey), min(PAIRS * wanted, MOST_CONTROL_RAYS)
-    )
-    return (rays - have) * pilot.control_rate
+    first = max(have, control_rays(replace(pilot.settings, error=error), pilot.survey))
+    more = max(min(FEWER * PAIRS * wanted, MOST_CONTROL_RAYS) - first, 0)
+    points = pilot.control_points
+    few = points if pilot.settings.per_object else min(points, FEW)
+    return ((first - have) * points + more * few) * pilot.control_rate
 
 
 def transport_prices(pilot, errors):

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from cell_radiosity.core import choices, control, prices
+from cell_radiosity.core import choices, control, course, prices
 from cell_radiosity.core.accuracy import (
     AIM,
     AIM_EACH,
@@ -29,10 +29,20 @@ from cell_radiosity.core.accuracy import (
 from cell_radiosity.core.bake import price, through
 from cell_radiosity.core.cells import LocalCells
 from cell_radiosity.core.choices import CONTROL_COST, MOST_CONTROL_RAYS, STEP, UNSURE, bounces_deeper, more_control
-from cell_radiosity.core.control import draw_control
+from cell_radiosity.core.control import FEW, Control, Traced, draw_control
 from cell_radiosity.core.course import MOST_REPLICATES, Course
 from cell_radiosity.core.effects import Survey
-from cell_radiosity.core.prices import AGAIN, Pilot, price_list, rays_more, replicate_seconds, transport_prices
+from cell_radiosity.core.prices import (
+    AGAIN,
+    FEWER,
+    PAIRS,
+    Pilot,
+    control_seconds,
+    price_list,
+    rays_more,
+    replicate_seconds,
+    transport_prices,
+)
 from cell_radiosity.core.replicates import Light
 from cell_radiosity.core.surfaces import Readings, reflecting_polygons
 
@@ -120,7 +130,7 @@ def test_price_list_is_the_pilots():
 def piloted(error=0.03, patch_edge=None, parts=(), **found):
     """What a pilot may have found out."""
     usual = dict(scene=None, settings=Settings(patch_edge=patch_edge, error=error), survey=Survey(()), points=1000, patches=100,
-                 rays=16, replicates=2, control_rays=64, control_rate=0.001, solve=0.0, pace=(1.0, 1.0), memory_mb=100.0,
+                 rays=16, replicates=2, control_rays=64, control_points=300, control_rate=1e-5, solve=0.0, pace=(1.0, 1.0), memory_mb=100.0,
                  parts=dict(parts), estimate=Estimate(total=error, noise=error))  # fmt: skip
     return Pilot(**{**usual, **found})
 
@@ -140,6 +150,14 @@ def test_a_price_is_made_of_what_grows_and_what_does_not(monkeypatch):
     assert less.memory_mb > enough.memory_mb == 140.0
     doubtful = replace(pilot, estimate=replace(pilot.estimate, doubt=0.03**2))
     assert price_list(doubtful, (0.01,))[0].seconds > less.seconds + 0.001 * 64
+
+
+def test_a_price_counts_control_rays_where_they_are_traced():
+    """Those that doubt calls for at few points, or at all if each object is to reach the error."""
+    pilot = piloted(seconds={}, estimate=Estimate(total=0.02, noise=0.02, doubt=4 * UNSURE * (AIM * 0.01) ** 2))
+    assert control_seconds(pilot, 0.01) == pytest.approx((FEWER * PAIRS * 4 - 1) * 64 * FEW * 1e-5)
+    each = replace(pilot, settings=replace(pilot.settings, per_object=True))
+    assert control_seconds(each, 0.01) == pytest.approx(3 * control_seconds(pilot, 0.01))
 
 
 def test_memory_is_foretold_as_it_is_taken():
@@ -360,6 +378,52 @@ def test_control_points_lie_where_the_error_is():
     for value in (np.ones(count), wall, np.sin(np.arange(count) / 700)):
         spread = 3 * np.sqrt(((weight * value[ids]) ** 2).sum())
         assert (weight * value[ids]).sum() == pytest.approx((points.area * value).sum(), abs=spread)
+
+
+def test_few_control_points_stand_for_all():
+    """What is off at three of them stays; no other stands for many more; sums are right in the mean, whatever was seen
+    where."""
+    count, rng, sums = 300, np.random.default_rng(5), []
+    points, value, weight = (
+        SimpleNamespace(object=np.arange(count) % 7),
+        rng.uniform(1, 3, count),
+        rng.uniform(1, 2, count),
+    )
+    for _ in range(200):
+        shared = rng.normal(size=count) * value
+        off = rng.choice(count, 3, replace=False)
+        shared[off] = 100.0
+        traced = Traced(1, np.full(2, 64), *(np.broadcast_to(value, (2, 1, count)) for _ in range(2)))
+        few = Control(points, np.arange(count), weight, None, None, traced=traced)
+        few.narrow(shared)
+        assert np.isin(off, few.ids).all()
+        assert 0.6 * FEW < len(few.ids) <= FEW
+        assert (few.weight <= 2.01 * count / FEW * weight[few.ids]).mean() > 0.9
+        assert (few.truth == value[few.ids]).all()
+        sums.append((few.weight * value[few.ids]).sum() / (weight * value).sum())
+    assert np.mean(sums) == pytest.approx(1.0, abs=5 * np.std(sums) / np.sqrt(200))
+    assert np.std(sums) < 0.2
+
+
+def test_further_control_rays_go_from_few_points(monkeypatch):
+    """After the first, from many points; not where each object is to reach the error, for a few lie on each, nor where
+    replicates share an error for certain."""
+    state = baked(error=0.01, gather_rays=96, seed=1).state()
+    assert state.traced.rounds > 1
+    assert len(state.control[0]) <= FEW
+
+    monkeypatch.setattr(course, "shared_by_replicates", lambda light, control: None)
+    nothing = dict(_light=lambda: None, _estimate=lambda: None)
+    few = SimpleNamespace(rays=64, ids=np.arange(300), narrow=lambda _: None)
+    usual = SimpleNamespace(settings=Settings(), control=few, estimate=Estimate(), **nothing)
+    assert Course._narrow(usual)
+    for other in (
+        dict(settings=Settings(per_object=True)),
+        dict(estimate=Estimate(shared=1e-3)),
+        dict(control=SimpleNamespace(rays=32, ids=few.ids)),
+        dict(control=SimpleNamespace(rays=64, ids=np.arange(FEW))),
+    ):
+        assert not Course._narrow(SimpleNamespace(**(vars(usual) | other)))
 
 
 def test_control_rays_are_as_many_as_its_doubt_calls_for():
