@@ -29,7 +29,7 @@ EASED_FROM = 0.01  # the error asked for: below it the longer rows cost more tha
 # tests toward all of them would double the time.
 # Sun through a window came to 0.78 % at 1 % with the first of these, in 65 % of the time that the second takes (0.64 %).
 COARSE = ((0.3, 12, 8, 4, 0.6), (0.1, 18, 8, 8, 1.0), (0.05, 21, 8, 8, 1.6))
-UNPARTED = 0.6  # error of reflected light from which on the coarsest patches are not cut where other surfaces touch them
+UNPARTED = 0.6  # error of reflected light from which on the coarsest patches are not cut where surfaces touch
 SHARP = 16  # places on patches where their direct light is tested, where every object is to reach the error in sunlight
 CONTROL_POINTS = 320
 EACH_OBJECT = 24  # of them, if every object is to reach the error

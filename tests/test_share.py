@@ -134,7 +134,13 @@ def test_pilots_go_by_the_share_unless_they_were_asked_for():
 
 def test_what_leaks_matters_unless_hardly_anything_is_reflected():
     found = survey(court(), Settings.for_error(0.01))
-    for share, error, expected in ((0.01, 0.01, False), (0.01, 0.005, True), (0.025, 0.01, True), (0.1, 0.01, True), (0.1, 0.1, False)):
+    for share, error, expected in (
+        (0.01, 0.01, False),
+        (0.01, 0.005, True),
+        (0.025, 0.01, True),
+        (0.1, 0.01, True),
+        (0.1, 0.1, False),
+    ):
         mine = replace(found, indirect=share)
         settings = eased(Settings.for_error(error), mine)
         assert parted(settings, mine) == expected
