@@ -18,6 +18,7 @@ from ..core.patches import count_patches, patch_size
 from ..core.report import make_report
 from ..core.settings import Settings
 from ..core.state import StateError
+from ..core.subdivide import Fitting
 from .errors import Refused, check_memory
 from .lookup import Lookup
 from .outputs import found_layers, grouping, make_output
@@ -28,6 +29,7 @@ from .version import version
 NOTHING = ("",)  # objects that no name fits: a bake of them is refused
 LEAST_EDGE, MOST_EDGE = 1e-7, 1e3  # of a patch, as a share of the scene's focus: what is beyond cuts no other way
 PATCH_BYTES = 2000  # that a patch takes in host and cells
+VERTEX_BYTES = 1200  # that a vertex of a finer mesh takes in the host, with its triangles
 
 
 @dataclass(frozen=True)
@@ -164,6 +166,14 @@ def check_scene(scene, targets, options):
         (count,) = count_patches(scene, [patch_size(scene, options.settings(scene))])
         what = f"cut to {options.max_patch:g} m, the scene is {count:.3g} patches; longer ones"
         check_memory(PATCH_BYTES * count, options.budget, what)
+    if options.mesh == "subdivide" and options.target == "vertex":
+        fitting = Fitting.for_scene(scene, options.max_edge, options.min_edge, options.contrast, options.vertices)
+        written = scene.written[scene.polygon_object[scene.triangle_polygon]] & scene.solid
+        area = float(scene.triangle_normal_area[1][written].sum())
+        # Triangles are halves of squares at most; the last step makes four of each, or is not taken.
+        count = min(area / max(fitting.max_edge**2, 1e-300), fitting.vertices / 4)
+        what = f"with edges of up to {fitting.max_edge:g} m there are at least {count:.3g} vertices; longer ones, fewer --vertices"
+        check_memory(VERTEX_BYTES * count, options.budget, what)
 
 
 class Job:

@@ -444,6 +444,7 @@ GERMAN = {
     "{}: it has no UV map {} (it has: {})": "{}: es hat keine UV-Map {} (es hat: {})",
     "xatlas, which unwraps meshes, is not there for this Python: give the objects a UV map and name it with --uv, or use Blender from blender.org": "xatlas, das Meshes abwickelt, gibt es für dieses Python nicht: den Objekten eine UV-Map geben und sie unter „UV-Map“ nennen, oder Blender von blender.org nehmen",
     "{text}, or a --memory of {}G instead of {}G, would do": "{text}; oder in den Einstellungen {} GB Speicher statt {} GB",
+    "with edges of up to {} m there are at least {} vertices; longer ones, fewer --vertices": "mit Kanten bis {} m gibt es mindestens {} Punkte; längere oder weniger Punkte nehmen",
     "cut to {} m, the scene is {} patches; longer ones": "auf {} m geschnitten, ist die Szene {} Flächenstücke; längere nehmen",
     "{}: {} copies of shared meshes take {} GB; fewer objects, or --shared skip": "{}: {} Kopien geteilter Meshes brauchen {} GB; weniger Objekte nehmen oder geteilte Meshes auslassen",
     "the lightmaps have some {} texels of surface; fewer --texels-per-meter, a smaller --size": "die Lightmaps haben etwa {} Texel Oberfläche; weniger Texel je Meter oder kleinere Bilder nehmen",

@@ -266,6 +266,7 @@ def test_numbers_at_the_edge_of_sense_make_a_bake(scene, options, capfd):
      ("--max-patch 0.001 --memory 1G", "cut to 0.001 m, the scene is 8e+06 patches; longer ones, or a --memory of 16G"),
      ("--target lightmap --size 1000000", "16384 a side are the most"),
      ("--target lightmap --texels-per-meter 1e9", "16384 a side are the most"),
+     ("--mesh subdivide --max-edge 1e-5 --vertices 1000000000 --memory 1G", "2.5e+08 vertices; longer ones, fewer --vertices, or"),
      ("--target lightmap --size 2000 --memory 500M", "texels of surface; fewer --texels-per-meter, a smaller --size, or")],
 )  # fmt: skip
 def test_what_memory_cannot_hold_is_refused_before_it_is_tried(scene, options, words, capfd):
