@@ -125,6 +125,8 @@ def _place(depsgraph, rendered, copies, reader, wanted, lamps, placed, deadline)
             or source.session_uid not in rendered
             or original.session_uid in copies
             or not instance.show_self
+            # The mesh of a text or curve is listed beside the object itself, of which it is read.
+            or (object.type == "MESH" != original.type and original.type in SOLID)
         ):
             continue
         if object.type in LEFT_OUT:

@@ -126,6 +126,31 @@ def test_objects_of_which_there_is_no_surface_are_named():
     assert scene.ignored == (("hair", "it is hair: it is left out"), ("smoke", "it is a volume: it is left out"))
 
 
+def test_a_text_is_there_once():
+    """Blender lists the mesh of a text, curve or metaball beside the object itself: they were there twice, in one place."""
+    empty()
+    plane("floor")
+    scene = bpy.context.scene
+    group = bpy.data.collections.new("group")
+    for name, made in (("text", bpy.data.curves.new("text", "FONT")), ("curve", bpy.data.curves.new("curve", "CURVE"))):
+        made.extrude = 0.1
+        if name == "text":
+            made.body = "l"
+        else:
+            made.splines.new("POLY").points.add(1)
+            made.splines[0].points[1].co = (1.0, 0.0, 0.5, 1.0)
+        group.objects.link(bpy.data.objects.new(name, made))
+    scene.collection.children.link(group)
+    ball = bpy.data.objects.new("ball", bpy.data.metaballs.new("ball"))
+    ball.data.elements.new()
+    scene.collection.objects.link(ball)
+    again = bpy.data.objects.new("again", None)
+    again.instance_type, again.instance_collection, again.location = "COLLECTION", group, (0.0, 0.0, 3.0)
+    scene.collection.objects.link(again)
+    bpy.context.view_layer.update()
+    assert sorted(read_scene(bpy.context)[0].objects) == ["ball", "curve", "curve", "floor", "text", "text"]
+
+
 def test_modifiers_that_keep_the_polygons_are_written_to_the_mesh(cells):
     floor = lit_room()
     modifier = floor.modifiers.new("wave", "SIMPLE_DEFORM")
