@@ -71,7 +71,8 @@ FEATURES = {
 def test_every_feature_has_its_test(feature):
     module, test, case = FEATURES[feature]
     found = getattr(import_module(f"test_blender_{module}"), test)
-    cases = [each for mark in getattr(found, "pytestmark", ()) for each in mark.args[1]]
+    cases = [each for mark in getattr(found, "pytestmark", ()) if mark.args for each in mark.args[1]]
+    cases = [each.values[0] if isinstance(each, type(pytest.param())) else each for each in cases]
     assert case in cases or (case is None and not cases)
 
 
