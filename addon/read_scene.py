@@ -219,11 +219,15 @@ def _hidden(scene, depsgraph, rendered):
 
 
 def _only_instances(placed, wanted):
-    """Findings about meshes whose light is asked for, but of which there are instances: these have no mesh to write to."""
-    asked = (p.original for p in placed if not p.own and p.original.type == "MESH")
-    for name, count in Counter(o.name for o in asked if wanted is None or wanted(o.name)).items():
+    """Findings about what is asked for but has no mesh to write to: instances of meshes, and texts, curves and the like."""
+    asked = [p.original for p in placed if not p.own and (wanted is None or wanted(p.original.name))]
+    for name, count in Counter(o.name for o in asked if o.type == "MESH").items():
         action = f"{NOT_WRITTEN}: make instances real to bake them"
         yield Finding(name, f"{count} of it are instances, which cast light but hold none", action)
+    for name in dict.fromkeys(o.name for o in asked if o.type != "MESH"):
+        yield Finding(
+            name, "it is no mesh: it casts light but holds none", f"{NOT_WRITTEN}: convert it to a mesh to bake it"
+        )
 
 
 def _writable(object, users, health):

@@ -333,6 +333,8 @@ GERMAN = {
     "{} vertices were the most there might be; --vertices sets another limit": "mehr als {} Eckpunkte durften es nicht sein; „Eckpunkte“ setzt eine andere Grenze",
     "its light was not written: make it local to bake it": "sein Licht wurde nicht geschrieben: zum Backen lokal machen",
     "{} of it are instances, which cast light but hold none": "{} davon sind Instanzen, die Licht werfen, aber keines aufnehmen",
+    "it is no mesh: it casts light but holds none": "es ist kein Mesh: es wirft Licht, nimmt aber keines auf",
+    "its light was not written: convert it to a mesh to bake it": "sein Licht wurde nicht geschrieben: zum Backen in ein Mesh umwandeln",
     "its light was not written: make instances real to bake them": "sein Licht wurde nicht geschrieben: zum Backen Instanzen realisieren",
     "its light was not written, as asked for; --shared copy gives it its own": "sein Licht wurde wie verlangt nicht geschrieben; „Kopieren“ bei geteilten Meshes gibt ihm ein eigenes",
     "{} faces have a material index outside the {} slots": "{} Flächen haben einen Materialindex außerhalb der {} Slots",

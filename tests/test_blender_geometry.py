@@ -148,7 +148,10 @@ def test_a_text_is_there_once():
     again.instance_type, again.instance_collection, again.location = "COLLECTION", group, (0.0, 0.0, 3.0)
     scene.collection.objects.link(again)
     bpy.context.view_layer.update()
-    assert sorted(read_scene(bpy.context)[0].objects) == ["ball", "curve", "curve", "floor", "text", "text"]
+    read = read_scene(bpy.context)[0]
+    assert sorted(read.objects) == ["ball", "curve", "curve", "floor", "text", "text"]
+    assert sorted(f.object for f in read.health if f.finding.startswith("it is no mesh")) == ["ball", "curve", "text"]
+    assert not read_scene(bpy.context, lambda name: name == "floor")[0].health
 
 
 def test_modifiers_that_keep_the_polygons_are_written_to_the_mesh(cells):
