@@ -94,6 +94,8 @@ def test_patches_are_the_coarser_the_less_is_reflected():
     faint = eased(usual, replace(found, indirect=0.03))  # as where the sun shines on a house, and a little comes in
     assert faint.patch_edge == edges[-1]
     assert faint.pilot_rays < usual.pilot_rays
+    half = [eased(Settings.for_error(0.02), replace(found, indirect=share)) for share in (0.49, 0.5)]
+    assert half[0].patch_edge > half[1].patch_edge == Settings.for_error(0.02).patch_edge  # lit by lamps
 
 
 def test_patches_that_were_asked_for_stay():
