@@ -101,7 +101,7 @@ class RADIOSITY_PG_result(bpy.types.PropertyGroup):
         estimate, self.asked = bake.estimate, bake.settings.error
         if estimate is None:
             return
-        self.error, self.converged = estimate.total, bake.converged
+        self.error, self.converged = estimate.furthest, bake.converged
         worst = estimate.worst()
         if worst:
             self.worst, self.worst_error = bake.scene.objects[worst[0]], worst[1]

@@ -41,8 +41,8 @@ class Estimate:
     """The error of a bake, as shares of its light (root mean square).
 
     total: of all points but those that lie in a corner, which were moved out of it. interior: without those on a crease
-    or an open edge too. sampling, patches and solve: the parts of the total, whose squares add up to its own. Of what
-    is further off of both, noise: the part that more rays take away, the filter's blur with it; shared: the rest, as
+    or an open edge too. Of what is further off of both, sampling, patches and solve: its parts, whose squares add up to
+    its own; noise: the part that more rays take away, the filter's blur with it; shared: the rest, as
     far as it is certain; doubt: standard error of its square; averaged: what patches average away. objects: (O,) error
     of each object, NaN where it is too dark or was not baked, and object_noise (O,) the noise of it.
     """
@@ -97,19 +97,20 @@ def estimate_error(points, light, control, free, bound, more=0.0):
         return noise + common, noise + blur, certain, doubt, max((averaged * chosen[ids]).sum() / whole, 0.0)
 
     inside = free & points.smooth
-    total, noise, _, _, patches = whole = parts(free)
+    whole = parts(free)
     within = parts(inside) if power[inside].sum() > 0 else whole
     furthest = max(whole, within)  # by their totals
-    solve = min(bound * bound, total - noise)
-    patches = min(patches, total - noise - solve)
+    far, common = furthest[0], furthest[0] - furthest[1]
+    solve = min(bound * bound, common)
+    patches = min(furthest[4], common - solve)
     return Estimate(
         *(
             float(np.sqrt(x))
-            for x in (total, within[0], max(total - patches - solve, 0.0), patches, solve, *furthest[1:3])
+            for x in (whole[0], within[0], max(far - patches - solve, 0.0), patches, solve, *furthest[1:3])
         ),
         float(furthest[3]),
-        float(np.sqrt(max(min(furthest[4], furthest[0] - furthest[1]), 0.0))),
-        *_of_objects(points, power, scatter, blurred, shared - weight * light.blurred[ids], ids, total - noise),
+        float(np.sqrt(max(min(furthest[4], common), 0.0))),
+        *_of_objects(points, power, scatter, blurred, shared - weight * light.blurred[ids], ids, whole[0] - whole[1]),
     )
 
 

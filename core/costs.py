@@ -19,7 +19,7 @@ BY_RAYS = ("interreflection", "sky", "emission")  # effects that call for rays: 
 
 # Forced on where they were left out, in the price of the bake's own rays (a dozen rooms of 10 000 vertices at 2 %):
 TESTS = 8.0  # rays of a point or patch toward a source, in case something is in the way
-CONTACTS = 10.0  # rays of a patch, to find what it touches
+CONTACTS = 18.0  # rays of a patch, to find what it touches
 PATCH = 6.0  # of a patch that is there at all
 ROW = 1.4  # of each ray of a row, which is solved with too
 ESCAPE = 0.65  # of a ray that meets nothing

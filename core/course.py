@@ -695,7 +695,7 @@ class Course:
         """Progress of the gather; begun: when it did, for a guess at the seconds left."""
         share = done / max(count or len(self.points), 1)
         left = None if begun is None else (perf_counter() - begun) * (1 - share) / max(share, 1e-9)
-        error = self.estimate and self.estimate.total
+        error = self.estimate and self.estimate.furthest
         return self._progress("gather", share, points=done, left=left, error=error, take=self.gathering and self.result)
 
     def _of_control(self, share):

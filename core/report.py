@@ -164,7 +164,7 @@ def _error(bake):
     if found:
         worst = found.worst()
         error = dict(
-            estimated=found.total, interior=found.interior, sampling=found.sampling, patches=found.patches,
+            estimated=found.furthest, interior=found.interior, sampling=found.sampling, patches=found.patches,
             worst=worst and dict(object=bake.scene.objects[worst[0]], error=worst[1]),
         )  # fmt: skip
     timed = bake.settings.seconds is not None  # then no error was asked for

@@ -94,7 +94,7 @@ def test_the_error_asked_for_is_reached_and_not_by_far(truth, error):
 
 def test_parts_of_the_error_add_up():
     e = baked(gather_rays=32).estimate
-    assert e.sampling**2 + e.patches**2 + e.solve**2 == pytest.approx(e.total**2, rel=1e-9)
+    assert e.sampling**2 + e.patches**2 + e.solve**2 == pytest.approx(e.furthest**2, rel=1e-9)
     name, worst = e.worst()
     assert worst == np.nanmax(e.objects)
     assert 0 <= name < 3
@@ -337,6 +337,7 @@ def test_narrow_things_do_not_hide_what_the_rest_is_off_by():
     assert found.total < 0.002
     assert found.interior == pytest.approx(0.1 / 1.1, rel=0.05)
     assert found.furthest == found.interior
+    assert found.sampling**2 + found.patches**2 + found.solve**2 == pytest.approx(found.interior**2)
     assert found.shared == pytest.approx(0.1 / 1.1, rel=0.2)
     assert found.averaged == found.noise == 0.0
     noisy = replace(found, noise=found.interior, shared=0.0)

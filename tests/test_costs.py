@@ -125,6 +125,11 @@ def test_nothing_is_said_of_what_nothing_is_known_of():
     assert {e["name"]: e["seconds"] if e["needed"] else None for e in report["effects"]} == cost
     assert report["error"]["requested"] == baked.settings.error
     assert report["error"]["floor"] == baked.floor
+    narrow = replace(baked, estimate=replace(baked.estimate, total=0.003, interior=0.01))
+    error = make_report(narrow, scene="", version="", layers=(), domain="corner", start=0.0, read=0.0, write=0.0)[
+        "error"
+    ]
+    assert error["estimated"] == error["interior"] == 0.01  # what the bake has gone by, not the smaller of both
     in_time = replace(baked, settings=replace(baked.settings, seconds=9.0))  # for which nobody asked for an error
     error = make_report(in_time, scene="", version="", layers=(), domain="corner", start=0.0, read=0.0, write=0.0)[
         "error"
