@@ -61,13 +61,16 @@ def test_all_bounces_are_the_limit():
 
 
 def test_light_samples_are_test_rays():
-    """More rays toward the lamp where it is partly hidden, and less noise; the rays of points stay as many."""
+    """More rays toward the lamp where it is partly hidden, and less noise; the rays of points stay as many, and of what is
+    traced anew for an error so far off."""
     lamp = box("lamp", (0.3, 0.3, 0.9), (0.7, 0.7, 0.95), 1, False, dict.fromkeys("xXyYzZ", 1))
     block = box("block", (0.25, 0.25, 0.2), (0.5, 0.5, 0.5), 2, False)
     scene = join_meshes(
         [box("room", n=8), block, lamp], [Material("white", (0.2,) * 3), Material("lamp", (0.0,) * 3, (9.0,) * 3)]
     )
-    found = [run(bake(scene, Settings(light_samples=s, gather_rays=32), LocalCells())) for s in (0.25, 1.0, 8.0)]
+    found = [
+        run(bake(scene, Settings(error=0.2, light_samples=s, gather_rays=32), LocalCells())) for s in (0.25, 1.0, 8.0)
+    ]
     assert found[0].rays < found[1].rays < found[2].rays
     noise = [f.light.variance.sum() for f in found]
     assert noise[0] > noise[1] > noise[2]
