@@ -96,7 +96,8 @@ def test_scenes_of_the_series_have_the_size_they_are_said_to_have(rng):
 
 
 def test_parts_of_a_bake_add_up(cells):
-    """Rays and seconds inside Embree of transport and gather are those of the whole bake, but for the survey's before."""
+    """Rays and seconds inside Embree of transport and gather are those of the whole bake, but for what surveys
+    it and finds where patches touch things before."""
     pytest.importorskip("bpy")
     from tools.bench.phases import watched
 
@@ -110,4 +111,4 @@ def test_parts_of_a_bake_add_up(cells):
         assert part["rays"] > 0
         assert 0 < part["embree"] < part["cpu"]
     both = sum(part["rays"] for part in found.values())
-    assert 0.5 * (cells.usage.rays - before.rays) < both < cells.usage.rays - before.rays
+    assert 0.3 * (cells.usage.rays - before.rays) < both < cells.usage.rays - before.rays
