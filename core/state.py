@@ -33,7 +33,7 @@ from .saving import written_whole
 from .settings import Settings
 from .transport import Round, Solution
 
-FORMAT = 10  # of the file; higher when samples of the same seed become others
+FORMAT = 11  # of the file; higher when samples of the same seed become others
 ANEW = "name another state file to bake it anew"
 DAMAGED = f"it is not a state file, or is damaged: {ANEW}"
 
