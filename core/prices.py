@@ -23,7 +23,7 @@ PRICED = (0.1, 0.05, 0.02, 0.01, 0.005)  # errors of the price list
 AGAIN = 2  # replicates that follow the pilot, where any do: at its next look a bake finds that there is more to do
 ANY_RAYS = 0.9  # of the seconds of a small replicate's test rays: they are spent for whatever number of rays
 PAIRS = 0.8  # of the control rays that two truths alone would need: sqrt(m / (2 m - 2)) of m truths, mostly of 4 or 6
-FEWER = 1.2  # times as many where few control points have them: their doubt is so much more
+MORE_OF_FEW = 1.2  # times as many where few control points have them: their doubt is so much more
 PATCH_MB = 1e-3  # of a patch more,
 HIT_MB = 4e-5  # and of a ray of its row
 POINT_MB = 3e-5  # of a point in one more replicate
@@ -104,7 +104,7 @@ def control_seconds(pilot, error):
     have = pilot.control_rays
     wanted = have * pilot.estimate.doubt / (UNSURE * (AIM * error) ** 2)
     first = max(have, control_rays(replace(pilot.settings, error=error), pilot.survey))
-    more = max(min(FEWER * PAIRS * wanted, MOST_CONTROL_RAYS) - first, 0)
+    more = max(min(MORE_OF_FEW * PAIRS * wanted, MOST_CONTROL_RAYS) - first, 0)
     points = pilot.control_points
     few = points if pilot.settings.per_object else min(points, FEW)
     return ((first - have) * points + more * few) * pilot.control_rate

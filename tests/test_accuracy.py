@@ -34,7 +34,7 @@ from cell_radiosity.core.course import MOST_REPLICATES, Course
 from cell_radiosity.core.effects import Survey
 from cell_radiosity.core.prices import (
     AGAIN,
-    FEWER,
+    MORE_OF_FEW,
     PAIRS,
     Pilot,
     control_seconds,
@@ -155,7 +155,7 @@ def test_a_price_is_made_of_what_grows_and_what_does_not(monkeypatch):
 def test_a_price_counts_control_rays_where_they_are_traced():
     """Those that doubt calls for at few points, or at all if each object is to reach the error."""
     pilot = piloted(seconds={}, estimate=Estimate(total=0.02, noise=0.02, doubt=4 * UNSURE * (AIM * 0.01) ** 2))
-    assert control_seconds(pilot, 0.01) == pytest.approx((FEWER * PAIRS * 4 - 1) * 64 * FEW * 1e-5)
+    assert control_seconds(pilot, 0.01) == pytest.approx((MORE_OF_FEW * PAIRS * 4 - 1) * 64 * FEW * 1e-5)
     each = replace(pilot, settings=replace(pilot.settings, per_object=True))
     assert control_seconds(each, 0.01) == pytest.approx(3 * control_seconds(pilot, 0.01))
 
